@@ -201,6 +201,28 @@ fn insert(job: &mut Parsed, place: usize, stage: &Py<Stage>, py: Python<'_>) -> 
     })
 }
 
+/// Job of an argument: a job, or the path of a job file with overrides; and its folder.
+pub fn job_of(
+    py: Python<'_>,
+    job: &Bound<'_, PyAny>,
+    set: Option<&Bound<'_, PyDict>>,
+) -> PyResult<(Parsed, PathBuf)> {
+    match job.cast::<Job>() {
+        Ok(job) if set.is_none() => Ok((job.get().parsed.clone(), job.get().folder.clone())),
+        Ok(_) => Err(errors::job("`set` changes the keys of a job file", "give the keys to wavex.Job")),
+        Err(_) => {
+            let path: PathBuf = job.extract().map_err(|_| {
+                errors::job(
+                    "the job is neither a wavex.Job nor a path",
+                    "make it with wavex.Job, or give a file",
+                )
+            })?;
+            let read = Job::from_file(&py.get_type::<Job>(), path, set)?;
+            Ok((read.parsed, read.folder))
+        }
+    }
+}
+
 /// Run a job.
 ///
 /// Outputs are those of ``wavex run``, byte for byte. The GIL is released; Ctrl-C ends the run in order.
@@ -242,22 +264,7 @@ pub fn run<'py>(
     progress: Option<&Bound<'py, PyAny>>,
     profile: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (mut parsed, folder) = match job.cast::<Job>() {
-        Ok(job) if set.is_none() => (job.get().parsed.clone(), job.get().folder.clone()),
-        Ok(_) => {
-            return Err(errors::job("`set` changes the keys of a job file", "give the keys to wavex.Job"));
-        }
-        Err(_) => {
-            let path: PathBuf = job.extract().map_err(|_| {
-                errors::job(
-                    "the job is neither a wavex.Job nor a path",
-                    "make it with wavex.Job, or give a file",
-                )
-            })?;
-            let read = Job::from_file(&py.get_type::<Job>(), path, set)?;
-            (read.parsed, read.folder)
-        }
-    };
+    let (mut parsed, folder) = job_of(py, job, set)?;
     for (after, stage) in stages.into_iter().flatten() {
         let job = Job { parsed, folder: folder.clone() };
         let stage = stage.cast_into::<Stage>().map_err(|_| {

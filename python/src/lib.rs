@@ -7,6 +7,7 @@ use std::ffi::OsString;
 
 use pyo3::prelude::*;
 
+mod align;
 mod batches;
 mod chain;
 mod convert;
@@ -35,12 +36,14 @@ fn _wavex(module: &Bound<'_, PyModule>) -> PyResult<()> {
     lines::register(module)?;
     recording::register(module)?;
     process::register(module)?;
+    module.add_class::<align::Alignment>()?;
     module.add_class::<batches::BatchReader>()?;
     module.add_class::<batches::Table>()?;
     module.add_class::<job::Job>()?;
     module.add_class::<model::SensorModel>()?;
     module.add_class::<stage::Stage>()?;
     module.add_function(wrap_pyfunction!(main, module)?)?;
+    module.add_function(wrap_pyfunction!(align::align, module)?)?;
     module.add_function(wrap_pyfunction!(recording::open, module)?)?;
     module.add_function(wrap_pyfunction!(recording::simulate, module)?)?;
     module.add_function(wrap_pyfunction!(process::calibrate, module)?)?;

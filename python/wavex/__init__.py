@@ -7,6 +7,7 @@
 """
 
 from ._wavex import (
+    Alignment,
     BatchReader,
     Block,
     DataError,
@@ -26,6 +27,7 @@ from ._wavex import (
     Stage,
     Table,
     __version__,
+    align,
     calibrate,
     calibrate_samples,
     decompose,
@@ -80,6 +82,7 @@ def stage(function=None, *, name=None, reason=None):
 
 
 __all__ = [
+    "Alignment",
     "BatchReader",
     "Block",
     "DataError",
@@ -100,6 +103,7 @@ __all__ = [
     "Table",
     "Waveforms",
     "__version__",
+    "align",
     "calibrate",
     "calibrate_samples",
     "decompose",

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
+    "Alignment",
     "BatchReader",
     "Block",
     "DataError",
@@ -27,6 +28,7 @@ __all__ = [
     "Table",
     "Waveforms",
     "__version__",
+    "align",
     "calibrate",
     "calibrate_samples",
     "decompose",
@@ -318,6 +320,40 @@ class Job:
     @property
     def notes(self) -> list[str]: ...
 
+@final
+class Alignment:
+    @property
+    def verdict(self) -> str: ...
+    @property
+    def warnings(self) -> list[str]: ...
+    @property
+    def parameters(self) -> Table: ...
+    @property
+    def covariance_names(self) -> list[str]: ...
+    @property
+    def covariance(self) -> NDArray[np.float64]: ...
+    @property
+    def correlations(self) -> Table: ...
+    @property
+    def strips(self) -> Table: ...
+    @property
+    def corrections(self) -> Table: ...
+    @property
+    def overlaps(self) -> Table: ...
+    @property
+    def residuals(self) -> Table: ...
+    @property
+    def files(self) -> list[str]: ...
+    @property
+    def text(self) -> str: ...
+
+def align(
+    job: Job | _Path,
+    output: _Path,
+    *,
+    trajectory: str | float | None = None,
+    set: dict[str, Any] | None = None,
+) -> Alignment: ...
 def open(path: _Path, **keys: Any) -> Recording: ...
 def simulate(path: _Path | None = None, **keys: Any) -> Recording: ...
 def calibrate(recording: Recording | _Path, *, threads: int | None = None, **keys: Any) -> SensorModel: ...

@@ -368,12 +368,12 @@ fn rate(text: &str) -> Result<f64, String> {
 pub(super) struct AlignArgs {
     #[command(flatten)]
     pub(super) job: JobArgs,
-    /// Folder to write: calibration.toml, corrections.toml, align.json; existing files are replaced
+    /// Folder to write: calibration, corrections, residuals, report (JSON) and page; existing files are replaced
     #[arg(short, long, value_name = "FOLDER")]
     pub(super) output: PathBuf,
     /// Corrections of each strip's trajectory: none, constant, linear, or linear between knots at most this many
     /// seconds apart
-    #[arg(long, value_name = "none|constant|linear|SECONDS", default_value = "constant", value_parser = trajectory_model)]
+    #[arg(long, value_name = "none|constant|linear|SECONDS", default_value = "constant", value_parser = str::parse::<TrajectoryModel>)]
     pub(super) trajectory: TrajectoryModel,
     /// Control points: a CSV file with the columns name, east_m, north_m (or longitude_deg, latitude_deg),
     /// ellipsoidal_height_m (or height_above_geoid_m), sd_east_m, sd_north_m, sd_height_m, and for known planes slope_deg,
@@ -404,21 +404,6 @@ fn optional_parameter(text: &str) -> Result<OptionalParameter, String> {
     OptionalParameter::of_name(text).ok_or_else(|| {
         "give e1, e2, e3 or e4; e0 and e7 are estimated anyway, and e6 equals the boresight roll".into()
     })
-}
-
-/// Parses the form of the corrections of trajectories.
-fn trajectory_model(text: &str) -> Result<TrajectoryModel, String> {
-    match text {
-        "none" => Ok(TrajectoryModel::None),
-        "constant" => Ok(TrajectoryModel::Constant),
-        "linear" => Ok(TrajectoryModel::Linear),
-        _ => {
-            let step_s = text.parse().ok().filter(|step_s: &f64| (0.1..=1e6).contains(step_s));
-            step_s.map(TrajectoryModel::Spline).ok_or_else(|| {
-                "give none, constant, linear, or the distance of knots in seconds, at least 0.1".to_owned()
-            })
-        }
-    }
 }
 
 /// Folders and limits of a survey.

@@ -224,8 +224,9 @@ pub(super) enum Command {
     ///
     /// Runs the job over all its inputs without its outputs, and compares smooth surface where strips overlap.
     /// Writes boresight, lever arm and range offset as calibration.toml, corrections of each strip's trajectory as
-    /// corrections.toml, and all results with standard deviations as align.json. Prints what the flight does not
-    /// determine, and why. docs/how-to/align-a-survey.md describes it.
+    /// corrections.toml, all results with standard deviations as align.json and as a page (align.html), and the
+    /// differences of all pairs of patches (residuals.arrow). Prints what the flight does not determine, and why.
+    /// docs/how-to/align-a-survey.md describes it.
     #[command(after_help = usage::ALIGN)]
     Align(AlignArgs),
     /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text

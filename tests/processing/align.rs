@@ -6,7 +6,10 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
+use arrow_array::cast::AsArray;
+use arrow_array::types::Float64Type;
 use serde_json::Value;
+use wavex_formats::container::TableReader;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_testkit::flight::files;
 use wavex_testkit::{Outcome, TestFolder};
@@ -78,6 +81,36 @@ fn survey(strips: &[&str]) -> TestFolder {
 
 fn report(place: &TestFolder, folder: &str) -> Value {
     serde_json::from_str(&place.text(&format!("{folder}/align.json"))).unwrap()
+}
+
+/// The page of an alignment, which has its verdict before all else, and needs no network or scripts.
+fn page_of(place: &TestFolder, folder: &str, class: &str, verdict: &str) -> String {
+    let page = place.text(&format!("{folder}/align.html"));
+    let found = format!("<p class=\"outcome\"><span class=\"badge {class}\">{verdict}</span> ");
+    let (before, _) = page.split_once(&found).unwrap_or_else(|| panic!("{verdict}: {page}"));
+    assert!(!before.contains("<h2 class=\"group\">") && !before.contains("<svg"), "{verdict}");
+    assert!(!page.contains("<script") && !page.contains("://"), "{verdict}");
+    assert!(!page.contains("NaN") && !page.contains(">inf"), "what is unknown is said in words: {page}");
+    page
+}
+
+/// Differences after, m, in rows of `residuals.arrow`, with strips, stated SD and use.
+fn residuals(place: &TestFolder, folder: &str) -> Vec<([String; 2], f64, f64, bool)> {
+    let mut table = TableReader::open(&place.path(&format!("{folder}/residuals.arrow"))).unwrap();
+    let mut rows = Vec::new();
+    while let Some(batch) = table.next_batch().unwrap() {
+        let column = |name: &str| batch.column_by_name(name).unwrap();
+        let number = |name: &str, row: usize| column(name).as_primitive::<Float64Type>().value(row);
+        for row in 0..batch.num_rows() {
+            let strips = ["first_strip", "second_strip"]
+                .map(|name| column(name).as_string::<i32>().value(row).to_owned());
+            let used = column("used").as_boolean().value(row);
+            rows.push((strips, number("difference_after_m", row), number("sd_m", row), used));
+            let up = number("normal_up", row);
+            assert!(up > 0.3 && up < 1.0 + 1e-12, "{up}");
+        }
+    }
+    rows
 }
 
 fn parameter<'r>(report: &'r Value, name: &str) -> &'r Value {
@@ -258,13 +291,33 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
             assert!(error.abs() < most && error.abs() < of_sd && sd / unit < most, "{found}");
         }
     }
+    the_report_agrees_with_its_files(&place);
+    let text = page_of(&place, "aligned", "good", "good");
+    for part in [
+        "the remaining differences of the strips are noise",
+        "boresight roll, deg",
+        "Correlations above 0.9",
+        "Differences before and after",
+        "Normalised residuals",
+        "Residuals after alignment",
+        "aria-label=\"Heading\"",
+        "in/a.out",
+    ] {
+        assert!(text.contains(part), "{part}");
+    }
+    let fixed = page_of(&place, "fixed", "good", "good");
+    assert!(fixed.contains("No trajectory is corrected.") && !fixed.contains("aria-label=\"Heading\""));
+    assert!(page_of(&place, "splines", "good", "good").contains("knots at most 20 s apart"));
     assert!(place.path("splines/corrections.toml").exists());
     assert!(!place.path("fixed/corrections.toml").exists(), "that of an earlier alignment is removed");
     // The same bytes for any number of threads.
     succeeds(&place, &["align", "survey.toml", "-o", "one", "--threads", "1", "--quiet"]);
-    for name in ["calibration.toml", "corrections.toml", "align.json"] {
-        assert!(place.text(&format!("aligned/{name}")) == place.text(&format!("one/{name}")), "{name}");
+    let names = ["calibration.toml", "corrections.toml", "align.json", "align.html", "residuals.arrow"];
+    for name in names {
+        let read = |folder: &str| fs::read(place.path(&format!("{folder}/{name}"))).unwrap();
+        assert!(read("aligned") == read("one"), "{name}");
     }
+    assert_eq!(files(&place.path("one")).len(), names.len());
     // Corrections are estimated anew, not added to those of the job.
     let corrected = ["--set", "job.geometry.corrections=aligned/corrections.toml"];
     let again = succeeds(&place, &[&["align", "survey.toml", "-o", "again"], &corrected[..]].concat());
@@ -279,6 +332,37 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
         err.ends_with("aligned/calibration.toml: the job reads this file; write to another folder\n"),
         "{err}"
     );
+}
+
+/// Residuals, covariance and digests of `aligned` agree with the numbers of the report.
+fn the_report_agrees_with_its_files(place: &TestFolder) {
+    let report = report(place, "aligned");
+    let rows = residuals(place, "aligned");
+    let used = rows.iter().filter(|(.., used)| *used).count();
+    assert_eq!(report["pairs"], rows.len());
+    assert_eq!(report["rejected_pairs"], rows.len() - used);
+    for overlap in report["overlaps"].as_array().unwrap() {
+        let strips = [0, 1].map(|k| overlap["strips"][k].as_str().unwrap().to_owned());
+        let own = rows.iter().filter(|(found, .., used)| *found == strips && *used);
+        let mut sizes_m: Vec<f64> = own.map(|(_, after_m, ..)| after_m.abs()).collect();
+        sizes_m.sort_by(f64::total_cmp);
+        let spread_m = 1.4826 * sizes_m[sizes_m.len() / 2];
+        assert!((overlap["spread_after_m"].as_f64().unwrap() - spread_m).abs() < 1e-12, "{overlap}");
+    }
+    let covariance = &report["covariance"];
+    for (k, name) in covariance["parameters"].as_array().unwrap().iter().enumerate() {
+        let sd = parameter(&report, name.as_str().unwrap())["sd"].as_f64().unwrap();
+        let variance = covariance["matrix"][k][k].as_f64().unwrap();
+        assert!((variance / (sd * sd) - 1.0).abs() < 1e-9, "{name}: {variance} {sd}");
+    }
+    let is_digest = |found: &Value| {
+        let path = found["recording"].as_str().or(found["path"].as_str()).unwrap();
+        let bytes = fs::read(place.path(path)).unwrap();
+        found["blake3"] == blake3::hash(&bytes).to_hex().as_str() && found["bytes"] == bytes.len()
+    };
+    let files = [&report["strips"], &report["trajectories"]].map(|files| files.as_array().unwrap());
+    assert_eq!(files.map(Vec::len), [3, 3]);
+    assert!(files.into_iter().flatten().all(is_digest), "{report}");
 }
 
 /// A strip that cannot be aligned is named, and the others are aligned.
@@ -297,6 +381,16 @@ fn the_rest_of_a_survey_is_aligned() {
     let report = report(&place, "aligned");
     assert_eq!(report["failed_strips"][0]["name"], "c");
     assert!(out.contains("\n2 of 3 strips, "), "{out}");
+    let text = page_of(&place, "aligned", "good", "good");
+    for part in [
+        "<h3>Strips that could not be used</h3>",
+        "in/c.arrow: the recording and the trajectory have no time in common",
+        "not aligned: shares no smooth surface with others",
+        "<b>2 of 4</b><span>strips aligned</span>",
+        "strips left out or not aligned: 2",
+    ] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
     let corrections = place.text("aligned/corrections.toml");
     let named: Vec<&str> = corrections.lines().filter(|line| line.starts_with("recording")).collect();
     assert_eq!(named, ["recording = \"a\"", "recording = \"b\""]);
@@ -318,7 +412,19 @@ fn a_bad_alignment_leaves_its_report_alone() {
     ] {
         assert!(err.contains(part), "{err}");
     }
-    assert_eq!(report(&place, "aligned")["verdict"], "bad");
+    let bad = report(&place, "aligned");
+    assert_eq!(bad["verdict"], "bad");
+    let text = page_of(&place, "aligned", "bad", "bad");
+    let reason = bad["problems"][0].as_str().unwrap();
+    assert!(err.contains(reason) && text.contains(&format!("<li>{reason}</li>")), "{reason}");
+    for part in [
+        "do not use this result. Calibration and corrections of trajectories are not written.",
+        "What to do: </b>check mount, units of the start values, trajectories and coordinates",
+        "<h2 class=\"group\">Parameters <span class=\"badge bad\">bad</span></h2>",
+        "<h2 class=\"group\">Strip differences <span class=\"badge bad\">bad</span></h2>",
+    ] {
+        assert!(text.contains(part), "{part}");
+    }
     assert!(
         !place.path("aligned/calibration.toml").exists() && !place.path("aligned/corrections.toml").exists()
     );
@@ -330,6 +436,9 @@ fn a_bad_alignment_leaves_its_report_alone() {
             && err.contains("the alignment is doubtful: the boresight roll moves by 7."),
         "{err}"
     );
+    let text = page_of(&place, "far", "look", "doubtful");
+    assert!(text.contains("<li>the boresight roll moves by 7."), "{text}");
+    assert!(text.contains("<h2 class=\"group\">Parameters <span class=\"badge look\">look</span></h2>"));
 }
 
 /// What a flight over a plain does not determine is left alone, with cause and remedy.
@@ -348,6 +457,14 @@ fn a_plain_leaves_the_lever_arm_alone() {
     let found = parameter(&report, "lever_down_m");
     assert_eq!((&found["treatment"], &found["value"]), (&"not_estimable".into(), &0.4f64.into()), "{found}");
     assert_eq!(found["reasons"][0]["cause"], "it moves all strips alike");
+    let text = page_of(&place, "aligned", "good", "good");
+    for part in [
+        "not estimable: kept",
+        "it moves all strips alike: compare heights with control points",
+        "the overlaps are flat: fly over roofs or slopes of several aspects",
+    ] {
+        assert!(text.contains(part), "{part}");
+    }
     let calibration = place.text("aligned/calibration.toml");
     assert!(
         calibration.contains("lever_arm_m = [0.3, ") && calibration.contains(", 0.4]\n"),

@@ -1,4 +1,4 @@
-"""Checks the HTML pages of a run, a survey and a recording in headless Chromium.
+"""Checks the HTML pages of a run, a survey, a recording and alignments in headless Chromium.
 
     python check_pages.py WAVEX
 
@@ -211,8 +211,81 @@ def run(wavex, folder, name, text, expected=0):
     assert ended.returncode == expected, f"{name}: {ended.stderr}"
 
 
+ALIGNED = """[job.geometry]
+trajectory = "*.out"
+calibration = {{ boresight_deg = [{roll_deg}, 0.0, 0.0] }}
+[[stage]]
+type = "read_arrow"
+path = "?_strip.arrow"
+[[stage]]
+type = "calibrate"
+waveforms = 2000
+response = "gaussian"
+[[stage]]
+type = "decompose"
+mode = "fastest"
+[[stage]]
+type = "georeference"
+"""
+
+
+def make_alignments(wavex, folder):
+    """Makes the pages of a good, a doubtful and a bad alignment of four strips, of which one is elsewhere."""
+    strips = [("a", 0.0, [0.0, 0.0], 160), ("b", 180.0, [-30.0, 100.0], 160), ("c", 90.0, [-40.0, 50.0], 160),
+              ("d", 0.0, [3000.0, 0.0], 40)]
+    off = "report = ''\nstat_log = ''\nlog = ''\n"
+    for number, (stem, course_deg, offset_m, lines) in enumerate(strips):
+        run(wavex, folder, f"to_align_{stem}", f"[job]\noutput_dir = 'align'\n{off}" + f"""[[stage]]
+type = "simulate"
+stem = "{stem}_strip"
+seed = {number}
+scene_seed = 1
+lines = {lines}
+shots_per_line = 120
+landscape = "country"
+wood_ratio = 0.1
+water_ratio = 0.0
+wire_height_m = 0.0
+house_ratio = 0.3
+flying_height_m = 120.0
+speed_mps = 25.0
+pulse_rate_hz = 7000.0
+roll_deg = 2.0
+pitch_deg = 2.0
+motion_period_s = 3.0
+track_direction_deg = {course_deg}
+track_offset_m = {offset_m}
+start_time_s = {208800.0 + 100 * number}
+boresight_deg = [0.2, -0.3, 0.4]
+noise_sd_dn = 0.5
+noise_autocorrelation = []
+response = "gaussian"
+sbet = "*.out"
+[[stage]]
+type = "write_arrow"
+""")
+    whole = (folder / "align/c_strip.arrow").read_bytes()
+    (folder / "align/e_strip.arrow").write_bytes(whole[: len(whole) // 2])
+    pages = []
+    for name, roll_deg, more, expected in [
+        ("good", 0.0, ["--trajectory", "0.5"], 0),
+        ("doubtful", -7.0, [], 0),
+        ("bad", 0.0, ["--set", "job.geometry.mount=[0,0,180]"], 1),
+    ]:
+        job = folder / "align" / f"{name}.toml"
+        job.write_text(f"[job]\noutput_dir = 'out'\n{off}" + ALIGNED.format(roll_deg=roll_deg))
+        output = folder / "align" / name
+        ended = subprocess.run([wavex, "--quiet", "align", job, "-o", output, *more], capture_output=True, text=True)
+        assert ended.returncode == expected, f"{name}: {ended.stderr}"
+        page = folder / f"out/align_{name}.html"
+        page.write_text((output / "align.html").read_text())
+        assert f">{name}</span>" in page.read_text(), name
+        pages.append(page)
+    return pages
+
+
 def make_pages(wavex, folder):
-    """Makes the pages of a run, a flight, a survey with a damaged strip, and a recording."""
+    """Makes the pages of a run, a flight, a survey with a damaged strip, a recording, and alignments."""
     off = "report = ''\nstat_log = ''\nlog = ''\n"
     simulate = "[[stage]]\n" + SIMULATE
     run(wavex, folder, "run", "[job]\noutput_dir = 'out'\nreport_page = true\n"
@@ -241,7 +314,7 @@ def make_pages(wavex, folder):
         run(wavex, folder, "real", f"[job]\noutput_dir = 'out'\nreport_page = true\n"
             f"[[stage]]\ntype = 'read_pulsewaves'\npath = '{pulses}'\n" + STAGES)
         names.append("real_report")
-    return [folder / f"out/{name}.html" for name in names]
+    return [folder / f"out/{name}.html" for name in names] + make_alignments(wavex, folder)
 
 
 def check_keyboard(tab, name):

@@ -1,5 +1,7 @@
 //! Parameters of an adjustment, their priors, and their places among the unknowns.
 
+use core::str::FromStr;
+
 use wavex_geodesy::trajectory::corrections::{CorrectionKnot, PoseOffset, TrajectoryCorrections};
 
 use crate::scanner::Scanner;
@@ -85,7 +87,7 @@ impl Global {
         }
     }
 
-    /// Text for people, a unit for people, and its size in the unit of the name.
+    /// Text and unit for people, and the unit's size in that of the name; ratios have no unit.
     pub fn label(self) -> (&'static str, &'static str, f64) {
         let degree = 1f64.to_radians();
         match self {
@@ -96,8 +98,8 @@ impl Global {
             Global::Pitch => ("boresight pitch", "deg", degree),
             Global::Yaw => ("boresight yaw", "deg", degree),
             Global::E0 => ("range offset e0", "m", 1.0),
-            Global::E1 => ("range scale e1", "1", 1.0),
-            Global::E2 => ("scan angle scale e2", "1", 1.0),
+            Global::E1 => ("range scale e1", "", 1.0),
+            Global::E2 => ("scan angle scale e2", "", 1.0),
             Global::E3 => ("quadratic scan angle e3", "1/rad", 1.0),
             Global::E4 => ("cubic scan angle e4", "1/rad²", 1.0),
             Global::E6 => ("scan angle offset e6", "rad", 1.0),
@@ -189,6 +191,26 @@ pub enum TrajectoryModel {
     Linear,
     /// Offsets at knots of at most this distance, s, linear between them.
     Spline(f64),
+}
+
+impl FromStr for TrajectoryModel {
+    type Err = String;
+
+    /// `none`, `constant`, `linear`, or the distance of knots, s; the error says what to give.
+    fn from_str(text: &str) -> Result<TrajectoryModel, String> {
+        match text {
+            "none" => Ok(TrajectoryModel::None),
+            "constant" => Ok(TrajectoryModel::Constant),
+            "linear" => Ok(TrajectoryModel::Linear),
+            _ => {
+                let step_s = text.parse().ok().filter(|step_s: &f64| (0.1..=1e6).contains(step_s));
+                step_s.map(TrajectoryModel::Spline).ok_or_else(|| {
+                    "give none, constant, linear, or the distance of knots in seconds, at least 0.1"
+                        .to_owned()
+                })
+            }
+        }
+    }
 }
 
 /// Standard deviations of trajectories, and how fast their errors change.

@@ -161,13 +161,16 @@ const TEXT: usize = 30;
 
 /// A table with header, which scrolls on narrow screens.
 pub(crate) fn wide_table(title: &str, heads: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Markup {
+    let rows: Vec<Vec<String>> = rows.collect();
+    let is_text = |cell: &String| cell.chars().count() > TEXT;
+    let has_text = |column: usize| rows.iter().any(|row| row.get(column).is_some_and(is_text));
     html! {
         div.scroll tabindex="0" role="region" aria-label=(title) {
             table.wide {
-                thead { tr { @for head in heads { th scope="col" { (head) } } } }
+                thead { tr { @for (column, head) in heads.iter().enumerate() { th.text[has_text(column)] scope="col" { (head) } } } }
                 tbody {
-                    @for row in rows {
-                        tr { @for cell in row { @if cell.chars().count() > TEXT { td.text { (cell) } } @else { td { (cell) } } } }
+                    @for row in &rows {
+                        tr { @for cell in row { td.text[is_text(cell)] { (cell) } } }
                     }
                 }
             }

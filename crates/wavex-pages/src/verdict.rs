@@ -114,11 +114,11 @@ pub(crate) const ROUGHNESS: Rule = at_most("median roughness", "m", [0.06, 0.12]
 
 /// Rules of the page of an alignment: those of its verdict.
 pub(crate) const RESIDUAL_SCALE: Rule =
-    at_most("remaining differences in stated SDs", "", [DOUBTFUL_SCALE, BAD_SCALE]).from(100, "used pairs");
+    at_most("remaining differences in stated SDs", "", [DOUBTFUL_SCALE, BAD_SCALE]).from(1, "used pair");
 pub(crate) const REJECTED_PAIRS: Rule =
-    at_most("rejected pairs", "%", [100.0 * DOUBTFUL_REJECTED, 100.0 * BAD_REJECTED]).from(100, "pairs");
+    at_most("rejected pairs", "%", [100.0 * DOUBTFUL_REJECTED, 100.0 * BAD_REJECTED]).from(1, "pair");
 pub(crate) const SPREAD_RATIO: Rule =
-    at_most("differences after over those before", "", [WORSE, WORSE]).from(100, "used pairs");
+    at_most("differences after over those before", "", [WORSE, WORSE]).from(1, "used pair");
 pub(crate) const PARAMETER_CHANGE: Rule =
     at_most("largest change of a parameter in SDs of its start value", "", [DOUBTFUL_CHANGE_SDS, NEVER_BAD]);
 pub(crate) const STRIPS_NOT_ALIGNED: Rule = at_most("strips left out or not aligned", "", [0.0, NEVER_BAD]);
@@ -245,7 +245,7 @@ mod tests {
         assert_eq!(ROLL.check(Some(4.0), 9).measured, "largest roll: 4°");
         assert_eq!(GAPS.check(Some(0.5), 9).rule, "good if none, look up to 1 % of the area, else bad");
         assert_eq!(target_density(4.0).check(Some(3.0), 100).grade, Grade::Look);
-        assert_eq!(SPREAD_RATIO.check(Some(1.2), 100).rule, "good up to 1.1, else bad");
+        assert_eq!(SPREAD_RATIO.check(Some(1.2), 1).rule, "good up to 1.1, else bad");
         assert_eq!(difference_rms(0.08).check(Some(0.17), 100).grade, Grade::Bad);
     }
 

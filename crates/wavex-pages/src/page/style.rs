@@ -57,7 +57,7 @@ white-space:nowrap;vertical-align:middle}.badge.good{background:var(--good);colo
 .checks b{font-weight:400}.checks .about{font-size:13px}
 .scroll{overflow-x:auto;max-width:100%}.wide th,.wide td{text-align:right;padding:3px 8px;width:auto;
 border-top:1px solid var(--rule);overflow-wrap:normal;white-space:nowrap}.wide th{font-weight:600;vertical-align:bottom}
-.wide th:first-child,.wide td:first-child,.wide td.text{text-align:left}
+.wide th:first-child,.wide td:first-child,.wide .text{text-align:left}
 .wide td.text{white-space:normal;min-width:16em;overflow-wrap:anywhere}.wide{margin-bottom:14px}
 .wide td{font-variant-numeric:tabular-nums}
 figure .wide{font-size:13px;margin:8px 0 0}

@@ -284,8 +284,8 @@ pub struct Flight {
     pub turn_deg: f64,
     /// Part of the pairs on slopes above 10 %.
     pub sloped_ratio: f64,
-    /// Smallest and largest range, m.
-    pub ranges_m: [f64; 2],
+    /// Smallest and largest range, m; `null` without pairs.
+    pub ranges_m: Option<[f64; 2]>,
     /// Largest difference of the scan angles of a pair, degrees.
     pub scan_angle_difference_deg: f64,
     /// Pairs of different receivers.

@@ -117,7 +117,7 @@ fn flight(facts: &FlightFacts) -> Flight {
         crossing_deg: facts.crossing_rad.to_degrees(),
         turn_deg: facts.turn_rad.to_degrees(),
         sloped_ratio: facts.sloped,
-        ranges_m: facts.ranges_m,
+        ranges_m: Some(facts.ranges_m).filter(|[least_m, most_m]| least_m <= most_m),
         scan_angle_difference_deg: facts.angles_rad.to_degrees(),
         receiver_pairs: facts.receiver_pairs,
     }

@@ -109,8 +109,8 @@ pub(super) fn normalised(report: &AlignReport, observations: &[Observation]) -> 
     Some(figure(title, plot.finish(svg, title, "difference, SDs", "share per SD"), &words))
 }
 
-/// Maps of the residuals and of the rejected pairs.
-pub(super) fn maps(report: &AlignReport, map: &ResidualMap) -> [Markup; 2] {
+/// Map of the residuals, and that of the rejected pairs if there are any.
+pub(super) fn maps(report: &AlignReport, map: &ResidualMap) -> Vec<Markup> {
     let limit_m = round_up(2.0 * report.spread_after_m.unwrap_or(0.001).max(0.0005));
     let mut svg = Svg::new();
     let picture = Picture::within(&map.means_m(), map.columns, &DIFFERENCES, [-limit_m, limit_m]);
@@ -129,13 +129,16 @@ pub(super) fn maps(report: &AlignReport, map: &ResidualMap) -> [Markup; 2] {
         "first strip minus second along the normal, mean of the used pairs in cells of {cell} m; {marks}; blank: no used pairs"
     );
     let after = figure(title, map.frame.finish_coloured(svg, title, &DIFFERENCES, ends), &words);
+    if map.rejected.is_empty() {
+        return vec![after];
+    }
     let mut svg = Svg::new();
     let picture = Picture::within(&map.rejected_percent(), map.columns, &HEIGHTS, [0.0, 100.0]);
     map.frame.image(&mut svg, "rejected-pairs", &picture);
     let title = "Rejected pairs";
     let ends = ["0".to_owned(), "100 % rejected".to_owned()];
     let words = format!("share of the pairs in cells of {cell} m; blank: no pairs");
-    [after, figure(title, map.frame.finish_coloured(svg, title, &HEIGHTS, ends), &words)]
+    vec![after, figure(title, map.frame.finish_coloured(svg, title, &HEIGHTS, ends), &words)]
 }
 
 /// A strip at its place on the axis of all strips.
@@ -231,9 +234,9 @@ fn of_offset(placed: &[Placed], offset: usize, unit: f64, axis: &str) -> Option<
         true => short(most),
         false => format!("{} to {}", short(least), short(most)),
     };
-    let words = format!("band: ± 1 SD; SD of the trajectory before: {spread}");
-    let name = axis.split(',').next().unwrap_or(axis);
-    Some(figure(name, plot.finish(svg, name, "number of the strip, time to the right", axis), &words))
+    let (name, unit_name) = axis.split_once(", ").unwrap_or((axis, ""));
+    let words = format!("band: ± 1 SD; SD of the trajectory before: {spread} {unit_name}");
+    Some(figure(name, plot.finish(svg, name, "strips by number, each along its time", axis), &words))
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::numbers::{label, short};
 use crate::page::{PagePart, document, figures as side_by_side, maps, section, table, tiles, with_contents};
-use crate::verdict::{self, QualityCheck};
+use crate::verdict::{self, Grade, QualityCheck};
 
 /// Most rows of the table of overlaps.
 const MOST_OVERLAPS: usize = 500;
@@ -70,8 +70,15 @@ fn outcome(report: &AlignReport) -> Markup {
             h2 { "Verdict" }
             p.outcome { span class=(class) { (report.verdict.word()) } " " (words) }
             @if !report.problems.is_empty() { ul.notes { @for problem in &report.problems { li { (problem) } } } }
-            @if let Some(remedy) = &report.remedy { p.remedy { b { "What to do: " } (remedy) "." } }
+            @if let Some(remedy) = &report.remedy { p.remedy { b { "What to do: " } (with_code(remedy)) "." } }
         }
+    }
+}
+
+/// Text whose parts in backticks are code.
+fn with_code(text: &str) -> Markup {
+    html! {
+        @for (i, part) in text.split('`').enumerate() { @if i % 2 == 1 { code { (part) } } @else { (part) } }
     }
 }
 
@@ -114,7 +121,16 @@ fn key_figures(report: &AlignReport) -> Markup {
 
 fn parameter_checks(report: &AlignReport) -> Vec<QualityCheck> {
     let changes = || report.parameters.iter().filter_map(AlignedParameter::change_sds);
-    vec![verdict::PARAMETER_CHANGE.check(changes().reduce(f64::max), changes().count() as u64)]
+    let mut checks =
+        vec![verdict::PARAMETER_CHANGE.check(changes().reduce(f64::max), changes().count() as u64)];
+    if report.verdict == AlignVerdict::Bad {
+        checks.push(QualityCheck {
+            grade: Grade::Bad,
+            measured: "the alignment is bad: values and SDs mean nothing".to_owned(),
+            rule: "see the verdict".to_owned(),
+        });
+    }
+    checks
 }
 
 fn difference_checks(report: &AlignReport) -> Vec<QualityCheck> {
@@ -144,6 +160,11 @@ fn label_of(name: &str) -> (&str, &str, f64) {
         Some(known) => known.label(),
         None => (name, "", 1.0),
     }
+}
+
+/// Text with its unit.
+fn titled(text: &str, unit: &str) -> String {
+    if unit.is_empty() { text.to_owned() } else { format!("{text}, {unit}") }
 }
 
 fn parameters(report: &AlignReport) -> Markup {
@@ -187,7 +208,7 @@ fn parameters(report: &AlignReport) -> Markup {
             _ => reasons.join("; "),
         };
         vec![
-            format!("{text}, {unit}"),
+            titled(text, unit),
             number(parameter.start),
             number(parameter.prior_sd),
             number(parameter.value),
@@ -280,7 +301,7 @@ fn strips(report: &AlignReport) -> Markup {
         "roll, mdeg",
         "pitch, mdeg",
         "heading, mdeg",
-        "",
+        "remark",
     ];
     let row = |(i, strip): (usize, &AlignedStrip)| {
         let mut row = vec![
@@ -294,6 +315,7 @@ fn strips(report: &AlignReport) -> Markup {
         row.extend((0..6).map(|offset| root_mean_square(strip, offset)));
         let lost = match strip.patches_without_pose {
             0 => None,
+            1 => Some("1 patch is outside of the trajectory: check its gaps and its time".to_owned()),
             n => Some(format!("{n} patches are outside of the trajectory: check its gaps and its time")),
         };
         let alone =
@@ -328,11 +350,10 @@ fn root_mean_square(strip: &AlignedStrip, offset: usize) -> String {
 fn flight_and_files(report: &AlignReport) -> Markup {
     let flight = &report.flight;
     let angle = |degrees: f64| format!("{}°", label(degrees, 1));
-    // Without pairs there are no ranges.
-    let ranges = match flight.ranges_m {
-        [low, high] if low <= high => format!("{} to {} m", label(low, 0), label(high, 0)),
-        _ => "unknown".to_owned(),
-    };
+    let ranges = flight.ranges_m.map_or_else(
+        || "unknown".to_owned(),
+        |[low, high]| format!("{} to {} m", label(low, 0), label(high, 0)),
+    );
     let rows = [
         ("crossing strips: largest angle of courses, up to 90°", angle(flight.crossing_deg)),
         ("opposite strips: largest angle of courses, up to 180°", angle(flight.turn_deg)),
@@ -360,5 +381,102 @@ fn flight_and_files(report: &AlignReport) -> Markup {
         div.sections { (section("What the pairs show of the flight", rows.into_iter().map(|(name, value)| (name.to_owned(), value)))) }
         (table("Files", &["path", "content", "bytes", "BLAKE3"], files.take(MOST_FILES)))
         @if left_out > 0 { p.about { "The others are in align.json." } }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Covariance, Flight, VERSION};
+    use super::*;
+
+    /// Nothing is known, apart from two strips that miss each other.
+    fn unknown() -> AlignReport {
+        let strip = |name: &str| AlignedStrip {
+            name: name.to_owned(),
+            recording: format!("{name}.las"),
+            bytes: None,
+            blake3: None,
+            trajectory: None,
+            first_s: 10.0,
+            last_s: 20.0,
+            shots: 1,
+            patches: 1,
+            sparse_cells: 0,
+            cells_of_several_returns: 0,
+            rough_cells: 0,
+            thinned_patches: 0,
+            pairs: 0,
+            patches_without_pose: 1,
+            prior_sds: [0.03; 6],
+            knots: Vec::new(),
+        };
+        AlignReport {
+            version: VERSION,
+            wavex: "1".to_owned(),
+            commit: String::new(),
+            job: "<survey>.toml".to_owned(),
+            trajectory_model: TrajectoryForm::Word(TrajectoryWord::None),
+            verdict: AlignVerdict::Bad,
+            problems: vec!["60 % of the pairs are rejected".to_owned()],
+            remedy: Some("check mount".to_owned()),
+            warnings: Vec::new(),
+            parameters: Vec::new(),
+            covariance: Covariance::default(),
+            correlations: Vec::new(),
+            strips: vec![strip("a"), strip("b")],
+            failed_strips: Vec::new(),
+            overlaps: vec![Overlap {
+                strips: ["a", "b"].map(str::to_owned),
+                pairs: 1,
+                rejected_pairs: 1,
+                median_before_m: None,
+                median_after_m: None,
+                spread_before_m: None,
+                spread_after_m: None,
+            }],
+            spread_before_m: None,
+            spread_after_m: None,
+            residual_scale: 1.0,
+            unknowns: 1,
+            pairs: 1,
+            rejected_pairs: 1,
+            flight: Flight {
+                crossing_deg: 0.0,
+                turn_deg: 0.0,
+                sloped_ratio: 0.0,
+                ranges_m: None,
+                scan_angle_difference_deg: 0.0,
+                receiver_pairs: 0,
+            },
+            trajectories: Vec::new(),
+            calibration: None,
+        }
+    }
+
+    #[test]
+    fn what_is_unknown_is_said() {
+        let text = page(&unknown(), &[]);
+        for part in [
+            "<b>too far apart</b><span>mm between strips before</span>",
+            "<b>unknown</b><span>mm between strips after</span>",
+            "<td>all rejected</td>",
+            "No pair has a place.",
+            "<td>unknown</td>",
+            "could not be read again",
+            "1 patch is outside of the trajectory",
+            "not assessed",
+            "&lt;survey&gt;.toml",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(!text.contains("NaN") && !text.contains("inf m") && !text.contains("<svg"), "{text}");
+    }
+
+    #[test]
+    fn a_page_is_made_from_its_report_alone() {
+        let text = serde_json::to_string(&unknown()).unwrap();
+        let again: AlignReport = serde_json::from_str(&text).unwrap();
+        assert_eq!(again, unknown());
+        assert_eq!(page(&again, &[]), page(&unknown(), &[]));
     }
 }
