@@ -22,6 +22,7 @@ use wavex_line::stage::{FinishedFile, OutputFile};
 
 pub use wavex_align::parameters::TrajectoryModel;
 
+mod patch_files;
 mod report;
 mod strips;
 mod words;
@@ -47,6 +48,8 @@ pub struct AlignRequest<'a> {
     pub output: &'a Path,
     /// Form of the corrections of trajectories.
     pub trajectory: TrajectoryModel,
+    /// Files of `write_patches`, or folders with them; empty: the recordings are read.
+    pub patches: &'a [PathBuf],
     /// Progress display.
     pub progress: ProgressMode,
     /// Ends the alignment early when set.
@@ -83,7 +86,7 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
         ..Options::of_job(job, &input_dir, output_dir)
     };
     let settings = AlignSettings { trajectory_model: request.trajectory, ..AlignSettings::default() };
-    let survey = collect(job, &options, &settings)?;
+    let survey = collect(job, &options, &settings, request.patches)?;
     let result = adjusted(&survey, &settings, options.workers())?;
     let written = write(request, &survey, &result)?;
     let warnings = survey.failures.iter().map(|failed| format!("left out: {}", failed.problem));
