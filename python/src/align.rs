@@ -78,6 +78,7 @@ pub fn align(
                 output: &output,
                 trajectory,
                 constraints: AlignConstraints::default(),
+                patches: &[],
                 progress: ProgressMode::Hidden,
                 cancel: cancel.clone(),
             })

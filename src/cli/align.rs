@@ -6,7 +6,7 @@ use super::args::AlignArgs;
 use super::{Failure, run, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::Override;
-use wavex_run::align::{AlignConstraints, AlignRequest};
+use wavex_run::align::{AlignConstraints, AlignRequest, Aligned};
 use wavex_run::archive::shown;
 
 /// Aligns, writes the files, prints the results.
@@ -26,10 +26,15 @@ pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
             references: args.reference.clone(),
             estimate: args.estimate.clone(),
         },
+        patches: &args.patches,
         progress: args.progress.mode(quiet, std::io::stderr().is_terminal()),
         cancel,
     };
-    let aligned = wavex_run::align::align(&request)?;
+    show(wavex_run::align::align(&request)?, quiet)
+}
+
+/// Prints an alignment.
+pub(super) fn show(aligned: Aligned, quiet: bool) -> Result<(), Failure> {
     aligned.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     if !quiet {
         let written: String =

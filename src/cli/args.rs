@@ -342,6 +342,9 @@ pub(super) struct PlanArgs {
     /// Archive of the whole survey that `wavex collect` makes, as `wavex run --archive`
     #[arg(long, value_name = "ARCHIVE")]
     pub(super) archive: Option<PathBuf>,
+    /// Folder of the alignment of all strips that `wavex collect` makes, as `wavex align -o`; needs `write_patches`
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) align: Option<PathBuf>,
 }
 
 /// Plan to collect.
@@ -352,7 +355,7 @@ pub(super) struct CollectArgs {
     /// Compare inputs and outputs by content instead of size
     #[arg(long)]
     pub(super) digest: bool,
-    /// Make no archive yet
+    /// Make no archive and no alignment yet
     #[arg(long)]
     pub(super) no_archive: bool,
 }
@@ -391,6 +394,9 @@ pub(super) struct AlignArgs {
     /// cubic)
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = optional_parameter)]
     pub(super) estimate: Vec<OptionalParameter>,
+    /// Use the files *_patches.arrow of earlier runs instead of the recordings: files, or folders with them
+    #[arg(long, value_name = "PATH", num_args = 1..)]
+    pub(super) patches: Vec<PathBuf>,
     /// Number of worker threads; 0: one per core [default: the job's `threads`]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub(super) threads: Option<usize>,

@@ -18,7 +18,7 @@ const SHOT_BYTES: f64 = 180.0;
 /// Longest shots that are estimated, in usual ones: the costs are measured with shots of up to 1.5.
 const LONGEST: f64 = 3.0;
 /// Time of a stage per shot on one core, µs.
-const STAGES_US: [(&str, f64); 16] = [
+const STAGES_US: [(&str, f64); 17] = [
     ("read_las", 2.0),
     ("read_pulsewaves", 0.4),
     ("read_sdf", 1.0),
@@ -32,6 +32,7 @@ const STAGES_US: [(&str, f64); 16] = [
     ("write_las", 0.5),
     ("write_ascii", 2.0),
     ("write_trajectory", 0.1),
+    ("write_patches", 0.4),
     ("write_lstat", 0.1),
     ("write_table", 1.0),
     ("write_arrow", 1.5),

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::args::{CollectArgs, PlanArgs};
-use super::{Failure, print, terminal};
+use super::{Failure, align, print, terminal};
 use wavex_line::georef::check_crs;
 use wavex_run::archive::check_destination;
 use wavex_run::cluster::{self, PlanOptions, SurveyPlan};
@@ -35,6 +35,7 @@ pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
         input_dir: &input_dir,
         output_dir: &output_dir,
         archive: args.archive.as_deref(),
+        align: args.align.as_deref(),
         cores: args.cores.unwrap_or(match job.settings.threads {
             0 => CORES,
             threads => threads,
@@ -87,8 +88,12 @@ pub(super) fn collect(args: &CollectArgs, quiet: bool) -> Result<(), Failure> {
         }
         print(&said)?;
     }
+    let aligned = found.aligned.map_or(Ok(()), |aligned| align::show(aligned?, quiet));
     if found.problems.is_empty() {
-        return Ok(());
+        return aligned;
+    }
+    if let Err(failure) = aligned {
+        tracing::warn!("{}", failure.text());
     }
     let mut text = format!("incomplete: {} of {} tasks", found.problems.len(), found.tasks);
     for (name, reason) in &found.problems {

@@ -14,6 +14,8 @@ use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_testkit::flight::files;
 use wavex_testkit::{Outcome, TestFolder};
 
+mod patches;
+
 /// Lever arm and boresight of the flights.
 const LEVER_ARM_M: [f64; 3] = [0.3, -0.2, 0.4];
 const BORESIGHT_DEG: [f64; 3] = [0.2, -0.3, 0.4];
@@ -242,6 +244,7 @@ fn control_points_and_reference_strips_hold() {
 #[test]
 fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
     let place = survey(&["a", "b", "c"]);
+    place.write("survey.toml", format!("{JOB}[[stage]]\ntype = 'write_patches'\n").as_bytes());
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/how-to/align-a-survey.md");
     let page = fs::read_to_string(page).unwrap();
     let commands: Vec<String> = page
@@ -249,7 +252,7 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
         .filter_map(|line| line.strip_prefix("wavex "))
         .map(|command| command.replace('"', ""))
         .collect();
-    assert_eq!(commands.len(), 5, "{commands:?}");
+    assert_eq!(commands.len(), 7, "{commands:?}");
     place.write("gcp.csv", control(&[]).as_bytes());
     for strip in ["a", "b", "c"] {
         let (records, _) = FLOWN[&format!("{strip}.out")].as_chunks::<RECORD_BYTES>();

@@ -29,7 +29,7 @@ pub use geodesy::{geoid, geojson, geokeys, terrain_ascii, terrain_geotiff, wkt};
 pub use hdf5::hdf5;
 pub use points::{compressed_packets, copc, las};
 pub use runs::{recording, run, sdf};
-pub use tables::{container, survey_cells, table};
+pub use tables::{container, patches, survey_cells, table};
 pub use texts::{calibration, corrections, import, job, lookup_tables, plan, report, sensor_model};
 pub use trajectories::{accuracy, pof, sbet, sol, trajectory_text, trj};
 pub use views::view;
@@ -60,6 +60,7 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("job", job),
     ("las", las),
     ("lookup_tables", lookup_tables),
+    ("patches", patches),
     ("plan", plan),
     ("pof", pof),
     ("pulsewaves", pulsewaves),

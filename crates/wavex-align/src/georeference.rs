@@ -51,6 +51,12 @@ impl Scanner {
         Some(sum(pose.origin_in_ecef_m, rotate(&pose.ecef_from_body, body.end_m)))
     }
 
+    /// End of a beam in the body frame, m.
+    #[cfg(test)]
+    pub(crate) fn end_in_body_m(&self, source: &BeamSource, beam: &ScannerBeam) -> Vector {
+        self.in_body(source, beam).end_m
+    }
+
     /// Angle of a beam across the flight in the axes of the mounted scanner, rad, positive to the right.
     pub fn scan_angle_rad(&self, beam: &ScannerBeam) -> f64 {
         let [_, right, down] = rotate(&self.body_from_mount, beam.direction);

@@ -42,6 +42,66 @@ impl Horizon {
     }
 }
 
+/// Index of a tile of the earth: geocentric latitude and longitude in steps of [`TILE_RAD`].
+type Tile = (i32, i32);
+
+/// Edge of a tile: 28 km, so that the horizon of its centre is level to 3 mrad and true to 3 ppm.
+const TILE_RAD: f64 = core::f64::consts::PI / 720.0;
+
+/// Frame in which the cells of patches are.
+#[derive(Debug)]
+enum Frame {
+    /// One horizon for all cells.
+    One(Horizon),
+    /// The horizon of the centre of each tile.
+    Tiles(Tiles),
+}
+
+/// Horizons of tiles.
+#[derive(Debug, Default)]
+struct Tiles {
+    horizons: BTreeMap<Tile, Horizon>,
+    /// The tile used last.
+    latest: Option<(Tile, Horizon)>,
+}
+
+impl Frame {
+    /// Tile of a position in the earth-centred frame.
+    fn tile(&self, [x, y, z]: Vector) -> Tile {
+        match self {
+            Frame::One(_) => (0, 0),
+            Frame::Tiles(_) => {
+                let index = |angle_rad: f64| (angle_rad / TILE_RAD).floor() as i32;
+                (index(libm::atan2(z, (x * x + y * y).sqrt())), index(libm::atan2(y, x)))
+            }
+        }
+    }
+
+    /// Horizon of the cells of a tile.
+    fn horizon(&mut self, tile: Tile) -> Horizon {
+        match self {
+            Frame::One(horizon) => *horizon,
+            Frame::Tiles(tiles) => match tiles.latest {
+                Some((latest, horizon)) if latest == tile => horizon,
+                _ => {
+                    let horizon = *tiles.horizons.entry(tile).or_insert_with(|| tile_horizon(tile));
+                    tiles.latest = Some((tile, horizon));
+                    horizon
+                }
+            },
+        }
+    }
+}
+
+/// Horizon of the centre of a tile, on the ellipsoid.
+fn tile_horizon((latitude, longitude): Tile) -> Horizon {
+    let middle_rad = |index: i32| (f64::from(index) + 0.5) * TILE_RAD;
+    let ((sine, cosine), (east, north)) =
+        (libm::sincos(middle_rad(latitude)), libm::sincos(middle_rad(longitude)));
+    let ecef_m = [cosine * north, cosine * east, sine].map(|part| part * 6_371_000.0);
+    Horizon::at(Geodetic { height_m: 0.0, ..WGS84.geodetic_of(ecef_m) })
+}
+
 /// A return with its beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PatchReturn {
@@ -148,7 +208,7 @@ const SLOPE_CLASSES: usize = 9;
 #[derive(Debug)]
 pub struct PatchMaker {
     strip: u32,
-    horizon: Horizon,
+    frame: Frame,
     settings: PatchSettings,
     cells: BTreeMap<CellKey, Cell>,
     latest_s: f64,
@@ -157,7 +217,8 @@ pub struct PatchMaker {
     counts: PatchCounts,
 }
 
-type CellKey = (i64, i64, bool);
+/// Tile, column, row, and whether ranges are on the scale of the low-power receiver.
+type CellKey = (Tile, i64, i64, bool);
 
 #[derive(Debug, Default)]
 struct Cell {
@@ -177,9 +238,18 @@ struct Kept {
 impl PatchMaker {
     /// For the strip of this index; strips that are compared need the same horizon and cell size.
     pub fn new(strip: u32, horizon: Horizon, settings: PatchSettings) -> PatchMaker {
+        PatchMaker::in_frame(strip, Frame::One(horizon), settings)
+    }
+
+    /// With cells that are the same for every strip of the earth, whatever the survey; its patches are of strip 0.
+    pub fn on_tiles(settings: PatchSettings) -> PatchMaker {
+        PatchMaker::in_frame(0, Frame::Tiles(Tiles::default()), settings)
+    }
+
+    fn in_frame(strip: u32, frame: Frame, settings: PatchSettings) -> PatchMaker {
         PatchMaker {
             strip,
-            horizon,
+            frame,
             settings,
             cells: BTreeMap::new(),
             latest_s: f64::NEG_INFINITY,
@@ -197,9 +267,10 @@ impl PatchMaker {
             self.counts.unusable_returns += 1;
             return;
         }
-        let [east_m, north_m, _] = self.horizon.local_m(given.point_in_ecef_m);
+        let tile = self.frame.tile(given.point_in_ecef_m);
+        let [east_m, north_m, _] = self.frame.horizon(tile).local_m(given.point_in_ecef_m);
         let index = |along_m: f64| (along_m / self.settings.cell_m).floor() as i64;
-        let key = (index(east_m), index(north_m), given.source.on_low_power_scale);
+        let key = (tile, index(east_m), index(north_m), given.source.on_low_power_scale);
         let cell = self.cells.entry(key).or_default();
         cell.n_multiple += usize::from(given.n_returns > 1);
         cell.latest_s = cell.latest_s.max(given.beam.time_s);
@@ -240,9 +311,9 @@ impl PatchMaker {
             self.counts.sparse += 1;
         } else if cell.n_multiple as f64 > self.settings.most_multiple * n as f64 {
             self.counts.multiple += 1;
-        } else if let Some((mut patch, normal)) = fit(&cell.returns, &self.horizon, &self.settings) {
+        } else if let Some((mut patch, normal)) = fit(&cell.returns, &self.frame.horizon(key.0), &self.settings) {
             patch.strip = self.strip;
-            let block = (key.0.div_euclid(BLOCK_CELLS), key.1.div_euclid(BLOCK_CELLS));
+            let block = (key.1.div_euclid(BLOCK_CELLS), key.2.div_euclid(BLOCK_CELLS));
             self.patches.push(Kept { patch, class: slope_class(normal), rank: block_rank(block) });
             if self.patches.len() > 2 * self.settings.most_patches {
                 self.thin(self.settings.most_patches);
@@ -588,6 +659,29 @@ mod tests {
         }
         assert!(most_cells < 1700, "{most_cells} of 2500 cells");
         assert_eq!(maker.finish().0.len(), 2500);
+    }
+
+    /// Strips that do not know each other have the same cells: those of any horizon on another one would be cut.
+    #[test]
+    fn cells_of_tiles_do_not_depend_on_the_strip() {
+        let all = returns(192, 1, 0.01, |_, _| 0.0);
+        let made = |given: &[PatchReturn]| {
+            let mut maker = PatchMaker::on_tiles(PatchSettings { most_patches: 300, ..PatchSettings::default() });
+            given.iter().for_each(|given| maker.add(given));
+            maker.finish().0
+        };
+        // The second strip begins 30 m to the north of the first.
+        let (first, second) = (made(&all), made(&all[60 * 192..]));
+        assert!(first.len() > 200 && second.len() > 200, "{} {}", first.len(), second.len());
+        let inside: Vec<&Patch> = first.iter().filter(|patch| patch.beams[0].time_s > 0.13).collect();
+        let shared = inside.iter().filter(|patch| second.contains(patch)).count();
+        assert!(shared == inside.len() && shared > 100, "{shared} of {}", inside.len());
+        let corner_m = tile_horizon((0, 0)).local_m([6_378_137.0, 0.0, 0.0]);
+        assert!((19_000.0..20_000.0).contains(&corner_m[0].hypot(corner_m[1])), "{corner_m:?}");
+        let tiles: Vec<Tile> = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]
+            .map(|[y, z]| Frame::Tiles(Tiles::default()).tile([6_378_137.0, y, z]))
+            .to_vec();
+        assert_eq!(tiles, [(0, 0), (-1, 0), (0, -1), (-1, -1)]);
     }
 
     #[test]

@@ -26,6 +26,7 @@ use wavex_pages::report::align::{AlignReport, page, write_residuals};
 pub use wavex_align::parameters::TrajectoryModel;
 
 mod control;
+mod patch_files;
 mod report;
 mod strips;
 mod words;
@@ -57,6 +58,8 @@ pub struct AlignRequest<'a> {
     pub trajectory: TrajectoryModel,
     /// Control points, reference strips, and parameters to estimate.
     pub constraints: AlignConstraints,
+    /// Files of `write_patches`, or folders with them; empty: the recordings are read.
+    pub patches: &'a [PathBuf],
     /// Progress display.
     pub progress: ProgressMode,
     /// Ends the alignment early when set.
@@ -148,7 +151,7 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
     let settings = AlignSettings { trajectory_model: request.trajectory, ..AlignSettings::default() };
     let control = control::read(&request.constraints, &job.settings.geometry, &input_dir)?;
     check_references(request, &options)?;
-    let survey = collect(job, &options, &settings)?;
+    let survey = collect(job, &options, &settings, request.patches)?;
     let references = references(request, &survey)?;
     let points = control.as_ref().map_or(&[][..], |control| &control.points);
     let constraints = Constraints { control: points, references: &references };
@@ -220,16 +223,28 @@ fn check_references(request: &AlignRequest<'_>, options: &Options) -> Result<(),
         let problem = "`--reference` has no effect with `--trajectory none`, which corrects no trajectory; leave one out";
         return Err(Failure::Wrong(format!("{}: {problem}", request.job.name)));
     }
+    // Recordings need not be there if their patches are given.
+    if !request.patches.is_empty() {
+        return Ok(());
+    }
     let names: Vec<String> =
         strips::inputs(request.job, options)?.into_iter().map(|input| input.stem).collect();
     match references.iter().find(|name| !names.contains(name)) {
-        Some(unknown) => Err(Failure::Wrong(format!(
-            "{}: there is no strip `{unknown}` for `--reference`; the strips are {}",
-            request.job.name,
-            names.join(", ")
-        ))),
+        Some(unknown) => {
+            Err(Failure::Wrong(unknown_reference(request, unknown, names.iter().map(String::as_str))))
+        }
         None => Ok(()),
     }
+}
+
+fn unknown_reference<'a>(
+    request: &AlignRequest<'_>,
+    unknown: &str,
+    names: impl Iterator<Item = &'a str>,
+) -> String {
+    let names: Vec<&str> = names.collect();
+    let job = &request.job.name;
+    format!("{job}: there is no strip `{unknown}` for `--reference`; the strips are {}", names.join(", "))
 }
 
 /// Indices of the reference strips.
@@ -237,9 +252,11 @@ fn references(request: &AlignRequest<'_>, survey: &SurveyStrips) -> Result<Vec<u
     let index = |name: &String| {
         let found = survey.strips.iter().position(|strip| strip.name == *name);
         let failed = survey.failures.iter().find(|failed| failed.name == *name);
-        found.ok_or_else(|| {
-            let problem = failed.map_or("it cannot be read", |failed| failed.problem.as_str());
-            Failure::Run(format!("the reference strip cannot be used: {problem}"))
+        found.ok_or_else(|| match failed {
+            Some(failed) => {
+                Failure::Run(format!("the reference strip cannot be used: {}", failed.problem))
+            }
+            None => Failure::Wrong(unknown_reference(request, name, survey.strips.iter().map(|strip| &*strip.name))),
         })
     };
     request.constraints.references.iter().map(index).collect()

@@ -77,6 +77,9 @@ pub struct SurveyPlan {
     /// Archive to make of the whole survey.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub archive: Option<String>,
+    /// Folder of the alignment to make of the whole survey.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub align: Option<String>,
     /// Files that all tasks read.
     pub shared_inputs: Vec<PlannedFile>,
     /// Patterns of the files that each task writes; `*` is its name.

@@ -60,6 +60,7 @@ pub fn seeds() -> Vec<Seed> {
     recordings(&mut add);
     outputs(&mut add);
     surveys(&mut add);
+    patches(&mut add);
     trajectories(&mut add);
     maps(&mut add);
     granules(&mut add);
@@ -276,6 +277,22 @@ fn surveys(add: &mut Add) {
         fs::read(place.path("out/a_cells.arrow")).unwrap()
     };
     add("survey_cells", "two_strips", joined(&[&cells(1), &cells(2)]));
+}
+
+/// Patches of a strip.
+fn patches(add: &mut Add) {
+    let place = TestFolder::new();
+    let reader = "[[stage]]\ntype = 'read_arrow'\npath = '../in/a.arrow'\n";
+    let make = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 20\nshots_per_line = 60\nflying_height_m = 120\n\
+                speed_mps = 25\npulse_rate_hz = 3500\nsbet = '../in/*.out'\n\
+                [[stage]]\ntype = 'write_arrow'\npath = '../in/*.arrow'\n";
+    assert_eq!(place.run(make), Outcome::success());
+    let job = format!(
+        "geometry.trajectory = '../in/a.out'\n{reader}[[stage]]\ntype = 'calibrate'\nwaveforms = 300\n\
+         [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_patches'\n"
+    );
+    assert_eq!(place.run(&job), Outcome::success());
+    add("patches", "strip", fs::read(place.path("out/a_patches.arrow")).unwrap());
 }
 
 fn trajectories(add: &mut Add) {

@@ -1,10 +1,12 @@
-//! Arrow: containers, tables and the cells of surveys.
+//! Arrow: containers, tables, patches of strips and the cells of surveys.
 
 use std::io::Cursor;
 use std::path::Path;
 
 use wavex::job::SurveyKeys;
 use wavex::report::survey::{SurveyInput, write_survey};
+use wavex::stage::OutputFile;
+use wavex::stages::writers::write_patches::read_patches;
 use wavex_formats::container::{
     Compression, ContainerHeader, ContainerLine, ContainerReader, ContainerWriter, LineBuilder, TableReader,
 };
@@ -132,4 +134,15 @@ pub fn survey_cells(bytes: &[u8]) {
         return;
     };
     assert!(written.files.iter().all(|path| path.is_file()));
+}
+
+/// Patches of a strip; the same after writing and reading again.
+pub fn patches(bytes: &[u8]) {
+    let place = Files::with(&[("a_patches.arrow", bytes)]);
+    let Ok(found) = read_patches(&place.path("a_patches.arrow")) else { return };
+    let again = place.path("b_patches.arrow");
+    let mut file = OutputFile::create(&again).unwrap();
+    found.write(&mut file).unwrap();
+    file.finish_without_sync().unwrap().publish().unwrap();
+    assert!(read_patches(&again).unwrap() == found);
 }

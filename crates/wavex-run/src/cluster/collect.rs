@@ -7,9 +7,14 @@ use std::sync::Arc;
 use serde_json::{Value, json};
 
 use super::merge::{Merge, TaskResult};
+use super::plan::pattern_of_patches;
 use super::{INCLUDED, JOB, MOST_BYTES, REMEDY, SurveyPlan, Task};
+use crate::Failure;
+use crate::align::{AlignConstraints, AlignRequest, Aligned, TrajectoryModel, align};
 use crate::archive::{Seals, digest_of, plain};
-use wavex_engine::engine::{self, InputStatus, InputSummary, Options, RunSummary};
+use wavex_engine::engine::{
+    self, Cancel, InputStatus, InputSummary, Options, ProgressMode, RunSummary,
+};
 use wavex_engine::job::{Include, Job, JobStage, Override};
 use wavex_formats::{Error, path_within, read_small_text};
 use wavex_line::stage::{Plan, Result, StageError, SurveyModels};
@@ -25,6 +30,8 @@ pub struct Collected {
     pub written: Vec<PathBuf>,
     /// The archive with its seals.
     pub archive: Option<(PathBuf, Seals)>,
+    /// The alignment, or why there is none.
+    pub aligned: Option<std::result::Result<Aligned, Failure>>,
     /// Tasks that are not complete: name and reason.
     pub problems: Vec<(String, String)>,
     /// Number of tasks.
@@ -33,7 +40,8 @@ pub struct Collected {
 
 /// Checks the files of all tasks, and merges reports, line statistics, digests and archive.
 ///
-/// Compares sizes; with `by_digest`, and for an archive, contents. Makes the archive only if every task has ended.
+/// Compares sizes; with `by_digest`, and for an archive, contents. Makes archive and alignment if `archives`, and only if
+/// every task has ended.
 ///
 /// # Errors
 /// If the plan cannot be read or a file cannot be written.
@@ -88,7 +96,24 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
         Ok::<_, StageError>((path, seals))
     });
     let archive = archive.transpose()?;
-    Ok(Collected { table: report::input_table(&report), written, archive, problems, tasks: plan.tasks.len() })
+    let aligned = plan.align.as_ref().filter(|_| archives && has_ended).zip(pattern_of_patches(&job));
+    let aligned = aligned.map(|(output, pattern)| {
+        let done = run.inputs.iter().filter(|input| is_done(input));
+        let patches: Vec<PathBuf> = done.map(|input| dirs[1].join(pattern.replace('*', &input.stem))).collect();
+        let name = plain(&job_dir.join(&plan.job)).display().to_string();
+        align(&AlignRequest {
+            job: &Job { name, ..job.clone() },
+            folder: &job_dir,
+            output: &plain(&root.join(output)),
+            trajectory: TrajectoryModel::Constant,
+            constraints: AlignConstraints::default(),
+            patches: &patches,
+            progress: ProgressMode::Hidden,
+            cancel: Cancel::default(),
+        })
+    });
+    let (table, tasks) = (report::input_table(&report), plan.tasks.len());
+    Ok(Collected { table, written, archive, aligned, problems, tasks })
 }
 
 /// The folder, or the current one if the path is empty.

@@ -35,10 +35,14 @@ pub(super) struct Estimator {
 }
 
 impl Estimator {
+    /// Memory of the files that all tasks read, MB.
+    fn shared_mb(&self) -> u64 {
+        self.shared_bytes.saturating_mul(SHARED_BYTES_FACTOR).div_ceil(1_000_000)
+    }
+
     /// Resources of a task with this much input.
     pub(super) fn task(&self, bytes: u64) -> Estimate {
-        let shared_mb = self.shared_bytes.saturating_mul(SHARED_BYTES_FACTOR).div_ceil(1_000_000);
-        let memory_mb = self.line_memory_mb.saturating_add(BASE_MEMORY_MB).saturating_add(shared_mb);
+        let memory_mb = self.line_memory_mb.saturating_add(BASE_MEMORY_MB).saturating_add(self.shared_mb());
         let seconds = bytes as f64 / 1e6 / self.mb_per_s / self.cores as f64;
         let minutes = 1 + (TIME_MARGIN * seconds / 60.0).ceil() as u64;
         Estimate { cores: self.cores, memory_mb, minutes }
@@ -50,9 +54,16 @@ impl Estimator {
     }
 
     /// Resources of the task that collects the results of this many tasks.
-    pub(super) fn collect(tasks: usize) -> Estimate {
+    ///
+    /// An alignment holds the patches of all tasks, and the trajectories.
+    pub(super) fn collect(&self, tasks: usize, aligns: bool) -> Estimate {
         let tasks = tasks as u64;
-        Estimate { cores: 1, memory_mb: 500 + tasks / 2, minutes: 5 + tasks / 500 }
+        let collects = Estimate { cores: 1, memory_mb: 500 + tasks / 2, minutes: 5 + tasks / 500 };
+        if !aligns {
+            return collects;
+        }
+        let memory_mb = collects.memory_mb.saturating_add(20 * tasks).saturating_add(self.shared_mb());
+        Estimate { memory_mb, minutes: collects.minutes + 5 + tasks / 20, ..collects }
     }
 }
 
@@ -69,6 +80,9 @@ mod tests {
         assert_eq!(estimator.task(4_800_000_000), Estimate { minutes: 21, ..small });
         let with_trajectory = Estimator { shared_bytes: 100_000_000, ..estimator };
         assert_eq!(with_trajectory.task(0), Estimate { memory_mb: 1824, ..small });
-        assert_eq!(Estimator::collect(10_000), Estimate { cores: 1, memory_mb: 5500, minutes: 25 });
+        let collected = Estimate { cores: 1, memory_mb: 5500, minutes: 25 };
+        assert_eq!(with_trajectory.collect(10_000, false), collected);
+        let aligned = Estimate { memory_mb: 205_800, minutes: 530, ..collected };
+        assert_eq!(with_trajectory.collect(10_000, true), aligned);
     }
 }

@@ -37,6 +37,8 @@ pub struct PlanOptions<'p> {
     pub output_dir: &'p Path,
     /// Archive to make of the whole survey.
     pub archive: Option<&'p Path>,
+    /// Folder of the alignment to make of the whole survey.
+    pub align: Option<&'p Path>,
     /// Cores per task.
     pub cores: usize,
     /// Throughput of one core, MB of input per second.
@@ -48,13 +50,20 @@ pub struct PlanOptions<'p> {
 /// Files of an earlier plan are replaced only if they differ.
 ///
 /// # Errors
-/// If the folder belongs to something else, an input is missing, or a file cannot be written.
+/// If the folder belongs to something else, an input is missing, a file cannot be written, or an alignment is to be made of a
+/// job without `write_patches`.
 pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
+    if options.align.is_some() && pattern_of_patches(job).is_none() {
+        let remedy = "add `[[stage]]` with `type = \"write_patches\"` after `georeference`";
+        return Err(StageError::failed("an alignment needs the patches of all strips, but the job writes none", remedy));
+    }
     let folder = own_folder(options.folder)?;
     let dirs = [options.input_dir, options.output_dir];
     let resolved = Resolved::new(job, dirs[0], dirs[1], &folder)?;
     let archive = options.archive.map(absolute).transpose()?;
-    let root = root(&folder, &resolved, archive.as_deref())?;
+    let align = options.align.map(absolute).transpose()?;
+    let results = archive.as_deref().and_then(Path::parent).into_iter().chain(align.as_deref());
+    let root = root(&folder, &resolved, results)?;
     let from_root = |path: &Path| way(&root, path);
     let write = |name: &str, text: &str| write_if_changed(&folder.join(name), text);
     write(JOB, &job.text)?;
@@ -127,10 +136,11 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
         root: way(&folder, &root)?,
         plan_dir,
         archive: archive.as_deref().map(from_root).transpose()?,
+        align: align.as_deref().map(from_root).transpose()?,
         shared_inputs,
         output_patterns,
         calibration,
-        collect: Estimator::collect(tasks.len()),
+        collect: estimator.collect(tasks.len(), options.align.is_some()),
         tasks,
     };
     write("tasks.tsv", &table(&plan))?;
@@ -174,11 +184,21 @@ fn absolute(path: &Path) -> Result<PathBuf> {
     ))
 }
 
-/// Deepest folder that contains plan, inputs, outputs and archive.
-fn root(folder: &Path, resolved: &Resolved, archive: Option<&Path>) -> Result<PathBuf> {
+/// Pattern of the patches that a job writes.
+pub(super) fn pattern_of_patches(job: &Job) -> Option<&str> {
+    let stage = job.stages.iter().find(|stage| stage.spec.name == "write_patches")?;
+    stage.planned.plan.outputs().first().copied()
+}
+
+/// Deepest folder that contains plan, inputs, outputs and the folders of other results.
+fn root<'f>(
+    folder: &'f Path,
+    resolved: &'f Resolved,
+    results: impl Iterator<Item = &'f Path>,
+) -> Result<PathBuf> {
     let parents = resolved.inputs.iter().filter_map(|path| path.parent());
     let folders = [folder, &resolved.output_root].into_iter();
-    let folders = folders.chain(archive.and_then(Path::parent)).chain(parents);
+    let folders = folders.chain(results).chain(parents);
     common(folders).ok_or_else(|| {
         let problem = "plan, inputs and outputs have no common folder";
         StageError::failed(problem, "put them on one drive")

@@ -1,0 +1,103 @@
+//! Patches of strips from the files of `write_patches`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::strips::{Failed, ReadStrip};
+use crate::Failure;
+use wavex_engine::engine::Input;
+use wavex_line::georef::Loader;
+use wavex_stages::writers::write_patches::{ENDING, PatchesFile, read_patches};
+
+/// Patches of a strip, or why there are none.
+pub(super) struct FoundStrip {
+    /// Name of the strip; that of its file if it cannot be read.
+    pub(super) name: String,
+    /// The patches, and the recording.
+    content: Result<(PatchesFile, PathBuf), String>,
+    file: PathBuf,
+}
+
+/// Reads the files of patches in the order of the job's inputs, then by name; inputs without a file come last.
+///
+/// # Errors
+/// A folder that cannot be listed or has no patches.
+pub(super) fn find(given: &[PathBuf], inputs: &[Input]) -> Result<Vec<FoundStrip>, Failure> {
+    let mut files = Vec::new();
+    for path in given {
+        if path.is_dir() { files.extend(in_folder(path)?) } else { files.push(path.clone()) }
+    }
+    let order: BTreeMap<&str, usize> =
+        inputs.iter().enumerate().map(|(place, input)| (input.stem.as_str(), place)).collect();
+    let mut found = Vec::new();
+    let mut first_of: BTreeMap<String, PathBuf> = BTreeMap::new();
+    for file in files {
+        found.push(match read_patches(&file) {
+            Ok(patches) => {
+                let name = patches.stem.clone();
+                let content = match first_of.get(&name) {
+                    Some(other) => Err(format!(
+                        "{}: the patches of `{name}` are also in {}, which are used; remove the file that is out of date",
+                        file.display(),
+                        other.display()
+                    )),
+                    None => {
+                        first_of.insert(name.clone(), file.clone());
+                        let input = order.get(name.as_str()).and_then(|place| inputs.get(*place));
+                        let recording = input.map_or_else(|| (&patches.recording).into(), |input| input.path.clone());
+                        Ok((patches, recording))
+                    }
+                };
+                FoundStrip { name, content, file }
+            }
+            Err(error) => {
+                let name = file.file_name().unwrap_or_default().to_string_lossy();
+                let name = name.strip_suffix(ENDING).unwrap_or(&name).to_owned();
+                FoundStrip { name, content: Err(error.to_string()), file }
+            }
+        });
+    }
+    found.sort_by_key(|strip| (order.get(strip.name.as_str()).copied().unwrap_or(usize::MAX), strip.name.clone()));
+    let missing: Vec<&Input> =
+        inputs.iter().filter(|input| !found.iter().any(|strip| strip.name == input.stem)).collect();
+    found.extend(missing.into_iter().map(|input| FoundStrip {
+        name: input.stem.clone(),
+        content: Err(format!(
+            "{}: none of the given files has the patches of this input; run it with `write_patches`",
+            input.stem
+        )),
+        file: PathBuf::new(),
+    }));
+    Ok(found)
+}
+
+/// Files of patches in a folder, by name.
+fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+    let failed =
+        |error: std::io::Error| Failure::Run(format!("{}: {error}; check the path", folder.display()));
+    let mut files = Vec::new();
+    for entry in folder.read_dir().map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        if entry.file_name().to_string_lossy().ends_with(ENDING) {
+            files.push(entry.path());
+        }
+    }
+    if files.is_empty() {
+        let remedy = "run the job with the stage `write_patches`";
+        return Err(Failure::Run(format!("{}: no patches (*{ENDING}); {remedy}", folder.display())));
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// A strip from its file, with the trajectory of the job.
+pub(super) fn from_file(found: FoundStrip, loader: &mut Loader, cell_m: f64) -> Result<ReadStrip, Failed> {
+    let (patches, recording) = found.content.map_err(Failed::Strip)?;
+    let name = &found.name;
+    let geometry = loader.load(name, || false).map_err(|error| Failed::Strip(format!("{name}: {error}")))?;
+    if let Some(difference) = patches.difference(&geometry, cell_m) {
+        return Err(Failed::Strip(format!("{}: {difference}", found.file.display())));
+    }
+    ReadStrip::new(patches, &recording, Arc::new(geometry))
+}
