@@ -59,7 +59,8 @@ pub(super) const ALIGN: &str = "\
 Examples:
   wavex align survey.toml -o aligned
   wavex align survey.toml -o aligned --trajectory 20
-  wavex align survey.toml -o aligned --trajectory none";
+  wavex align survey.toml -o aligned --trajectory none
+  wavex align strip04.laz strip05.laz -o aligned --trajectory linear --apply";
 
 pub(super) const CALIBRATE: &str = "\
 Examples:

@@ -5,7 +5,7 @@ use wavex_geodesy::trajectory::corrections::TrajectoryCorrections;
 use wavex_simd::statistics::median;
 
 use crate::estimable::{EVIDENCE, Treatment};
-use crate::matching::{MatchSettings, Pair, match_patches};
+use crate::matching::{MatchSettings, Pair, TILE_M, match_patches};
 use crate::normal::{Priors, Problem, Weighting};
 use crate::parameters::{
     GLOBALS, Global, Layout, TrajectoryModel, TrajectoryPriors, knot_times, no_corrections,
@@ -25,6 +25,8 @@ pub struct AlignSettings {
     pub cell_m: f64,
     /// Most pairs of two strips.
     pub most_pairs: usize,
+    /// Edge of the tiles of the jackknife, m; above 0.
+    pub tile_m: f64,
 }
 
 impl Default for AlignSettings {
@@ -34,6 +36,7 @@ impl Default for AlignSettings {
             trajectory_priors: TrajectoryPriors::default(),
             cell_m: 3.0,
             most_pairs: 3000,
+            tile_m: TILE_M,
         }
     }
 }
@@ -124,6 +127,7 @@ pub fn align(survey: &Survey<'_>, settings: &AlignSettings) -> Result<Alignment,
         gate_m: level.gate_m,
         turn_rad: level.turn_deg.to_radians(),
         most_pairs: ((level.pairs * settings.most_pairs as f64) as usize).max(1),
+        tile_m: settings.tile_m,
     };
     let before = pairs_with_residuals(&problem, &state, &matching(&LEVELS[1]));
     let [coarse, middle, fine] = &LEVELS;
@@ -187,6 +191,7 @@ fn check(survey: &Survey<'_>, settings: &AlignSettings) -> Result<(), AlignError
     let [of_position_s, of_attitude_s] = settings.trajectory_priors.correlation_s;
     let mut numbers = vec![
         ("the cell size", settings.cell_m),
+        ("the tile size", settings.tile_m),
         ("the correlation time of positions", of_position_s),
         ("the correlation time of attitudes", of_attitude_s),
         ("the factor of accuracies", settings.trajectory_priors.accuracy_factor),

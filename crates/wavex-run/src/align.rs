@@ -22,6 +22,7 @@ use wavex_line::stage::{FinishedFile, OutputFile};
 
 pub use wavex_align::parameters::TrajectoryModel;
 
+pub mod clouds;
 mod report;
 mod strips;
 mod words;
