@@ -1,23 +1,29 @@
 //! `wavex align`: aligns the strips of a survey.
 
 use std::io::IsTerminal;
+use std::path::PathBuf;
 
-use super::args::AlignArgs;
+use super::args::{AlignArgs, JobArgs};
 use super::{Failure, run, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::Override;
+use wavex_run::align::clouds::{CloudsRequest, POSITION_SD_M, align_clouds, are_clouds};
 use wavex_run::align::{AlignConstraints, AlignRequest, Aligned};
 use wavex_run::archive::shown;
 
 /// Aligns, writes the files, prints the results.
 pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
+    if are_clouds(&args.inputs) {
+        return clouds(args, quiet);
+    }
+    let job_args = job_of(args)?;
     let threads = args.threads.map(|threads| Override::new(format!("job.threads={threads}")));
-    let job = args.job.read(threads)?;
+    let job = job_args.read(threads)?;
     let cancel = Cancel::default();
     run::stop_on_signals(&cancel, run::end_run);
     let request = AlignRequest {
         job: &job,
-        folder: &args.job.folder(),
+        folder: &job_args.folder(),
         output: &args.output,
         trajectory: args.trajectory,
         constraints: AlignConstraints {
@@ -35,11 +41,60 @@ pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
 
 /// Prints an alignment.
 pub(super) fn show(aligned: Aligned, quiet: bool) -> Result<(), Failure> {
-    aligned.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+    print(&aligned.warnings, &aligned.written, &aligned.text, quiet)?;
+    aligned.failure.map_or(Ok(()), Err)
+}
+
+/// Aligns clouds of points without trajectory.
+fn clouds(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
+    if !args.set.is_empty() {
+        return Err(Failure::Wrong(
+            "`--set` overrides keys of a job, and clouds have none; leave it out".into(),
+        ));
+    }
+    let constraints = [args.control.is_some(), !args.reference.is_empty(), !args.estimate.is_empty()];
+    if constraints.contains(&true) || !args.patches.is_empty() {
+        return Err(Failure::Wrong(
+            "`--control`, `--reference`, `--estimate` and `--patches` are for jobs; leave them out for clouds of points".into(),
+        ));
+    }
+    let cancel = Cancel::default();
+    run::stop_on_signals(&cancel, run::end_run);
+    let aligned = align_clouds(&CloudsRequest {
+        inputs: &args.inputs,
+        output: &args.output,
+        corrections: args.trajectory,
+        position_sd_m: args.position_sd.unwrap_or(POSITION_SD_M),
+        by_source: args.by_source,
+        apply: args.apply,
+        threads: args.threads.unwrap_or(0),
+        cancel,
+    })?;
+    print(&aligned.warnings, &aligned.written, &aligned.text, quiet)?;
+    aligned.failure.map_or(Ok(()), Err)
+}
+
+/// The job of a survey.
+fn job_of(args: &AlignArgs) -> Result<JobArgs, Failure> {
+    let wrong = |problem: &str| Err(Failure::Wrong(problem.to_owned()));
+    let [job] = args.inputs.as_slice() else {
+        return wrong("give one job (.toml), or clouds of points (.las, .laz, folders of them), not both");
+    };
+    if args.apply || args.by_source || args.position_sd.is_some() {
+        return wrong(
+            "`--apply`, `--by-source` and `--position-sd` are for clouds of points (.las, .laz); leave them out for a job",
+        );
+    }
+    Ok(JobArgs { job: job.clone(), set: args.set.clone() })
+}
+
+/// Prints results and warnings.
+fn print(warnings: &[String], written: &[PathBuf], text: &str, quiet: bool) -> Result<(), Failure> {
+    warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     if !quiet {
         let written: String =
-            aligned.written.iter().map(|path| format!("wrote {}\n", shown(path).display())).collect();
-        terminal::print(&(written + &aligned.text))?;
+            written.iter().map(|path| format!("wrote {}\n", shown(path).display())).collect();
+        terminal::print(&(written + text))?;
     }
-    aligned.failure.map_or(Ok(()), Err)
+    Ok(())
 }

@@ -369,9 +369,16 @@ fn rate(text: &str) -> Result<f64, String> {
 /// Survey to align.
 #[derive(Args)]
 pub(super) struct AlignArgs {
-    #[command(flatten)]
-    pub(super) job: JobArgs,
-    /// Folder to write: calibration, corrections, residuals, report (JSON) and page; existing files are replaced
+    /// Job of the survey (TOML), `-` for standard input; or clouds of points without trajectory: .las and .laz files, or
+    /// folders or patterns of them
+    #[arg(required = true, value_name = "JOB|CLOUD")]
+    pub(super) inputs: Vec<PathBuf>,
+    /// Override a key of the job for this run: STAGE is the stage's id or type, or `job`; may be
+    /// repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    pub(super) set: Vec<String>,
+    /// Folder to write: report (align.json, align.html) and, of a job, calibration, corrections and residuals, of clouds,
+    /// corrections.csv; existing files are replaced
     #[arg(short, long, value_name = "FOLDER")]
     pub(super) output: PathBuf,
     /// Corrections of each strip's trajectory: none, constant, linear, or linear between knots at most this many
@@ -397,6 +404,15 @@ pub(super) struct AlignArgs {
     /// Use the files *_patches.arrow of earlier runs instead of the recordings: files, or folders with them
     #[arg(long, value_name = "PATH", num_args = 1..)]
     pub(super) patches: Vec<PathBuf>,
+    /// Also write the corrected clouds into the folder, with the names of the inputs
+    #[arg(long)]
+    pub(super) apply: bool,
+    /// SD of the position of each strip of clouds, metres [default: 0.1]
+    #[arg(long, value_name = "METRES", value_parser = position_sd)]
+    pub(super) position_sd: Option<f64>,
+    /// Take the points of each point source ID of a cloud as a strip; a single cloud is always split
+    #[arg(long)]
+    pub(super) by_source: bool,
     /// Number of worker threads; 0: one per core [default: the job's `threads`]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub(super) threads: Option<usize>,
@@ -410,6 +426,12 @@ fn optional_parameter(text: &str) -> Result<OptionalParameter, String> {
     OptionalParameter::of_name(text).ok_or_else(|| {
         "give e1, e2, e3 or e4; e0 and e7 are estimated anyway, and e6 equals the boresight roll".into()
     })
+}
+
+/// Parses the SD of positions.
+fn position_sd(text: &str) -> Result<f64, String> {
+    let sd_m = text.parse().ok().filter(|sd_m: &f64| (0.001..=10.0).contains(sd_m));
+    sd_m.ok_or_else(|| "give metres from 0.001 to 10".to_owned())
 }
 
 /// Folders and limits of a survey.

@@ -60,7 +60,8 @@ Examples:
   wavex align survey.toml -o aligned
   wavex align survey.toml -o aligned --trajectory 20
   wavex align survey.toml -o aligned --trajectory none
-  wavex align survey.toml -o aligned --patches out";
+  wavex align survey.toml -o aligned --patches out
+  wavex align strip04.laz strip05.laz -o aligned --trajectory linear --apply";
 
 pub(super) const CALIBRATE: &str = "\
 Examples:

@@ -9,6 +9,7 @@
 
 mod agc;
 mod align;
+mod align_clouds;
 mod false_alarms;
 mod footprint_models;
 mod fusion;

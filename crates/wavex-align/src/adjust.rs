@@ -6,7 +6,7 @@ use wavex_simd::statistics::median;
 
 use crate::control::{ControlPoint, match_control, scale as control_scale};
 use crate::estimable::{EVIDENCE, FlightFacts, Treatment, Verdict};
-use crate::matching::{MatchSettings, Pair, match_patches};
+use crate::matching::{MatchSettings, Pair, TILE_M, match_patches};
 use crate::normal::{Priors, Problem, Weighting};
 use crate::parameters::{
     GLOBALS, Global, Layout, OFFSETS, TrajectoryModel, TrajectoryPriors, knot_times, no_corrections,
@@ -28,6 +28,8 @@ pub struct AlignSettings {
     pub most_pairs: usize,
     /// Whether the SDs of trajectories are corrected by what the strips show of them.
     pub fits_trajectory_sds: bool,
+    /// Edge of the tiles of the jackknife, m; above 0.
+    pub tile_m: f64,
 }
 
 impl Default for AlignSettings {
@@ -38,6 +40,7 @@ impl Default for AlignSettings {
             cell_m: 3.0,
             most_pairs: 3000,
             fits_trajectory_sds: true,
+            tile_m: TILE_M,
         }
     }
 }
@@ -162,6 +165,7 @@ pub fn align_with(
         gate_m: level.gate_m,
         turn_rad: level.turn_deg.to_radians(),
         most_pairs: ((level.pairs * settings.most_pairs as f64) as usize).max(1),
+        tile_m: settings.tile_m,
     };
     let before = pairs_with_residuals(&problem, &state, &matching(&LEVELS[1]));
     let [coarse, middle, fine] = &LEVELS;
@@ -256,6 +260,7 @@ fn check(survey: &Survey<'_>, settings: &AlignSettings) -> Result<(), AlignError
     let [of_position_s, of_attitude_s] = settings.trajectory_priors.correlation_s;
     let mut numbers = vec![
         ("the cell size", settings.cell_m),
+        ("the tile size", settings.tile_m),
         ("the correlation time of positions", of_position_s),
         ("the correlation time of attitudes", of_attitude_s),
         ("the factor of accuracies", settings.trajectory_priors.accuracy_factor),

@@ -20,6 +20,8 @@ pub struct MatchSettings {
     pub turn_rad: f64,
     /// Most pairs of two strips.
     pub most_pairs: usize,
+    /// Edge of the tiles of the jackknife, m; above 0.
+    pub tile_m: f64,
 }
 
 /// Two patches at the same place.
@@ -44,7 +46,7 @@ pub struct Pair {
     pub direction: [f32; 3],
 }
 
-/// Edge of the tiles of the jackknife, m.
+/// Edge of the tiles of the jackknife for surveys, m.
 pub const TILE_M: f64 = 200.0;
 /// Scan angle classes of the selection, per sine of the angle between beam and vertical.
 const SCAN_CLASSES: usize = 5;
@@ -92,7 +94,8 @@ pub fn match_patches(survey: &Survey<'_>, state: &State, settings: &MatchSetting
         let variance =
             square(a.sd_m) + square(b.sd_m) + half_squared * (square(a.slope_sd) + square(b.slope_sd));
         let strips: u32 = patches.iter().map(|patch| strips_at[*patch as usize]).sum();
-        let tile = [at_a.centre_m()[0], at_a.centre_m()[1]].map(|along_m| (along_m / TILE_M).floor() as i32);
+        let tile = [at_a.centre_m()[0], at_a.centre_m()[1]]
+            .map(|along_m| (along_m / settings.tile_m).floor() as i32);
         let noise_squared = 0.25 * (square(a.slope_sd) + square(b.slope_sd));
         let direction = surroundings.denoised(&at_a, &at_b, noise_squared);
         let sd_m = variance.sqrt().max(1e-4);
@@ -253,7 +256,7 @@ mod tests {
     use crate::simulated::{Flight, Plan};
 
     const SETTINGS: MatchSettings =
-        MatchSettings { search_m: 5.0, gate_m: 0.5, turn_rad: 0.3, most_pairs: 100_000 };
+        MatchSettings { search_m: 5.0, gate_m: 0.5, turn_rad: 0.3, most_pairs: 100_000, tile_m: TILE_M };
 
     fn matched(flight: &Flight, settings: &MatchSettings) -> Vec<Pair> {
         let survey = flight.survey();

@@ -196,7 +196,7 @@ const RETURNS_PER_SWEEP: u32 = 20_000;
 /// Most cells in work; more are completed early.
 const MOST_CELLS: usize = 200_000;
 /// Edge of the blocks that are kept or dropped as a whole, in cells.
-const BLOCK_CELLS: i64 = 8;
+pub const BLOCK_CELLS: i64 = 8;
 /// Distances above this many robust SDs are outliers of the plane.
 const OUTLIER_SDS: f64 = 3.5;
 /// Smallest cosine between beam and normal.
@@ -378,7 +378,7 @@ pub(crate) fn slope_class(normal: Vector) -> usize {
 }
 
 /// Pseudo-random rank of a block of the ground (finaliser of SplitMix64).
-pub(crate) fn block_rank((x, y): (i64, i64)) -> u64 {
+pub fn block_rank((x, y): (i64, i64)) -> u64 {
     let mut z =
         (x as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ (y as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -62,6 +62,8 @@ pub struct StripResult {
     pub corrections: Option<TrajectoryCorrections>,
     /// SDs of the offsets of each knot: north, east, down, m, roll, pitch, heading, rad.
     pub knot_sds: Vec<[f64; OFFSETS]>,
+    /// SDs of these offsets from the scatter of tiles alone, without the part of the start values.
+    pub knot_jackknife_sds: Vec<[f64; OFFSETS]>,
     /// SDs of the start values (0), with the factors of all trajectories.
     pub prior_sds: [f64; OFFSETS],
     /// Number of pairs with other strips; 0 means that the strip is not connected.
@@ -229,10 +231,15 @@ pub(crate) fn report(
                 let own = layout.knot(strip, knot);
                 core::array::from_fn(|c| if prior_sds[c] == 0.0 { 0.0 } else { solution.sd(own + c) })
             };
+            let of_tiles = |knot| {
+                let own = layout.knot(strip, knot);
+                core::array::from_fn(|c| if prior_sds[c] == 0.0 { 0.0 } else { solution.jackknife[own + c] })
+            };
             let is_own = |overlap: &&OverlapResult| overlap.strips.contains(&(strip as u32));
             StripResult {
                 corrections: state.corrections[strip].clone(),
                 knot_sds: (0..count).map(of_knot).collect(),
+                knot_jackknife_sds: (0..count).map(of_tiles).collect(),
                 prior_sds,
                 n_pairs: overlaps.iter().filter(is_own).map(|overlap| overlap.n_pairs).sum(),
                 n_unlocated: 0,

@@ -71,6 +71,7 @@ mod raw;
 mod reader;
 mod records;
 mod round;
+mod shifted;
 mod totals;
 mod vlr;
 mod writer;
@@ -89,6 +90,7 @@ pub use point_out::PointOut;
 pub use raw::{RawField, RawPoints};
 pub use reader::Reader;
 pub use round::nearest;
+pub use shifted::{ShiftedCopy, write_shifted};
 pub use vlr::Vlr;
 pub use writer::{ExtraColumns, IndexPlace, LasVersion, TOGETHER, WavePlace, Writer, WriterOptions};
 

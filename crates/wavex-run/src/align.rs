@@ -25,6 +25,7 @@ use wavex_pages::report::align::{AlignReport, page, write_residuals};
 
 pub use wavex_align::parameters::TrajectoryModel;
 
+pub mod clouds;
 mod control;
 mod patch_files;
 mod report;

@@ -2,7 +2,7 @@
 
 use std::io::{Cursor, Read};
 
-use wavex_formats::las::{LasDescription, Point, RawPoints, Reader, write_copc};
+use wavex_formats::las::{LasDescription, Point, RawPoints, Reader, write_copc, write_shifted};
 
 use super::{Files, parts};
 use crate::compression::packet;
@@ -132,6 +132,7 @@ pub fn copc(bytes: &[u8]) {
         return;
     }
     drop(points);
+    let _ = write_shifted(&source, Cursor::new(Vec::new()), &place.path("b.laz"), |_| [0.5; 3]);
     let mut copy = Cursor::new(Vec::new());
     let path = place.path("a.copc.laz");
     let mut keep = |run: &[u8]| Ok(Box::new(Cursor::new(run.to_vec())) as Box<dyn Read>);

@@ -31,7 +31,7 @@ fn rows_are_differences_of_residuals() {
     let survey = flight.survey();
     let model = TrajectoryModel::Spline(1.0);
     let problem = problem(&survey, &AlignSettings { trajectory_model: model, ..settings() });
-    let settings = MatchSettings { search_m: 5.0, gate_m: 1.0, turn_rad: 0.3, most_pairs: 1 };
+    let settings = MatchSettings { search_m: 5.0, gate_m: 1.0, turn_rad: 0.3, most_pairs: 1, tile_m: 200.0 };
     let mut state = problem.start.clone();
     let away = DVector::from_fn(problem.layout.len(), |k, _| 1e-4 * (k as f64).sin());
     apply(&problem, &mut state, &away).unwrap();

@@ -42,7 +42,7 @@ pub use passes::ProgressObserver;
 pub use sort::Keep;
 
 /// User ID of the records defined by COPC.
-const COPC: &str = "copc";
+pub(super) const COPC: &str = "copc";
 /// Maximum number of points of an octree leaf.
 const LEAF_POINTS: u64 = 50_000;
 /// Memory for sorting points, bytes.

@@ -103,7 +103,8 @@ pub(super) struct PointLayout {
     pub(super) length: usize,
     /// Whether the format is 0 to 5.
     legacy: bool,
-    gps_time: Option<usize>,
+    /// Offset of the time, if any.
+    pub(super) gps_time: Option<usize>,
     /// Offset of the 29 waveform bytes, if any.
     ///
     /// Formats 4, 5, 9 and 10 have them.

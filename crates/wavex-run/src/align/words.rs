@@ -58,7 +58,7 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment, control: Option
 }
 
 /// Differences of strips; before, they may be too far apart for pairs.
-fn before_and_after([before_m, after_m]: [f64; 2]) -> String {
+pub(super) fn before_and_after([before_m, after_m]: [f64; 2]) -> String {
     let before = match before_m.is_nan() {
         true => "too far apart before".to_owned(),
         false => format!("{:.1} mm before", 1e3 * before_m),
