@@ -375,6 +375,14 @@ pub(super) struct AlignArgs {
     /// seconds apart
     #[arg(long, value_name = "none|constant|linear|SECONDS", default_value = "constant", value_parser = trajectory_model)]
     pub(super) trajectory: TrajectoryModel,
+    /// Start from the returns files that `write_returns` wrote in an earlier run, without decomposing again
+    #[arg(long)]
+    pub(super) from_returns: bool,
+    /// Then run the job with the new files, from the returns files of an earlier run
+    ///
+    /// Its outputs are those of `wavex run` with these files. Nothing is run after a bad alignment.
+    #[arg(long)]
+    pub(super) apply: bool,
     /// Number of worker threads; 0: one per core [default: the job's `threads`]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub(super) threads: Option<usize>,

@@ -146,7 +146,9 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
         .filter_map(|line| line.strip_prefix("wavex "))
         .map(|command| command.replace('"', ""))
         .collect();
-    assert_eq!(commands.len(), 4, "{commands:?}");
+    assert_eq!(commands.len(), 5, "{commands:?}");
+    let keeping = "mode = 'fastest'\n[[stage]]\ntype = 'write_returns'\n";
+    place.write("survey.toml", JOB.replace("mode = 'fastest'\n", keeping).as_bytes());
     for strip in ["a", "b", "c"] {
         let (records, _) = FLOWN[&format!("{strip}.out")].as_chunks::<RECORD_BYTES>();
         let late = records
@@ -160,10 +162,14 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
     let before_m = ["a", "b", "c"].map(|strip| distance_m(&place, strip));
     place.write("fixed/corrections.toml", b"of an earlier alignment");
     let mut printed = String::new();
+    let mut outputs = Vec::new();
     for command in &commands {
         let words: Vec<&str> = command.split_whitespace().collect();
         writeln!(printed, "{command}\n{}", succeeds(&place, &words).out).unwrap();
+        outputs.push(["a", "b", "c"].map(|strip| place.text(&format!("out/{strip}.csv"))));
     }
+    assert!(outputs[0] != outputs[3], "the run with the new files has changed the points");
+    assert!(outputs[3] == outputs[4], "--apply gives the bytes of that run");
     println!("{printed}");
     let after_m = ["a", "b", "c"].map(|strip| distance_m(&place, strip));
     println!("points are {before_m:?} m from the truth before, {after_m:?} m after");

@@ -11,6 +11,7 @@ mod agc;
 mod align;
 mod false_alarms;
 mod footprint_models;
+mod from_returns;
 mod fusion;
 mod georeference;
 mod keys;

@@ -4,9 +4,10 @@ use crate::process::{
     calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, measure_footprints,
     resolve_mta,
 };
-use crate::readers::{read_arrow, read_hdf5, read_las, read_pulsewaves, read_sdf, simulate};
+use crate::readers::{read_arrow, read_hdf5, read_las, read_pulsewaves, read_returns, read_sdf, simulate};
 use crate::writers::{
-    write_arrow, write_ascii, write_footprints, write_las, write_lstat, write_table, write_trajectory,
+    write_arrow, write_ascii, write_footprints, write_las, write_lstat, write_returns, write_table,
+    write_trajectory,
 };
 use wavex_line::stage::{StageSpec, find_in};
 
@@ -17,6 +18,7 @@ pub const STAGES: &[&StageSpec] = &[
     &read_sdf::STAGE,
     &read_arrow::STAGE,
     &read_hdf5::STAGE,
+    &read_returns::STAGE,
     &simulate::STAGE,
     &resolve_mta::STAGE,
     &fuse_channels::STAGE,
@@ -33,6 +35,7 @@ pub const STAGES: &[&StageSpec] = &[
     &write_table::STAGE,
     &write_footprints::STAGE,
     &write_arrow::STAGE,
+    &write_returns::STAGE,
 ];
 
 /// Returns the stage of this name.

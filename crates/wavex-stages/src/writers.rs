@@ -6,5 +6,6 @@ pub mod write_ascii;
 pub mod write_footprints;
 pub mod write_las;
 pub mod write_lstat;
+pub mod write_returns;
 pub mod write_table;
 pub mod write_trajectory;

@@ -72,11 +72,7 @@ pub(super) fn collect(
     settings: &AlignSettings,
 ) -> std::result::Result<SurveyStrips, Failure> {
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
-        return Err(Failure::Wrong(format!("{}: the job has no reader; add one", job.name)));
-    };
-    let inputs = engine::expand(source.paths(), source.stem(), &options.input_dir);
-    let inputs = inputs.map_err(|error| failed(&error))?;
+    let inputs = engine::inputs(job, &options.input_dir).map_err(|error| failed(&error))?;
     if let [only] = inputs.as_slice() {
         return Err(Failure::Wrong(format!(
             "{}: the job has one input, `{}`, and alignment compares strips; give the reader a pattern such as \
