@@ -70,6 +70,7 @@ impl SinkConfig for WriteReturns {
             identity,
             state: State::Waiting(file),
             of: None,
+            of_shots: false,
             group: Group::default(),
         }))
     }
@@ -80,6 +81,8 @@ struct ReturnsWriter {
     state: State,
     /// Of the first line; all others must have the same.
     of: Option<OfRecording>,
+    /// Whether that line has shots.
+    of_shots: bool,
     group: Group,
 }
 
@@ -134,7 +137,13 @@ impl Sink for ReturnsWriter {
         let input = &recorded.input;
         let of =
             OfRecording { input: Arc::clone(input), model: line.model.clone(), fusion: line.fusion.clone() };
-        if *self.of.get_or_insert_with(|| of.clone()) != of {
+        let has_shots = !recorded.emissions.is_empty();
+        // Lines without shots have no metadata of their own.
+        if has_shots && matches!(self.state, State::Waiting(_)) && !self.of_shots {
+            self.of = None;
+            self.of_shots = true;
+        }
+        if *self.of.get_or_insert_with(|| of.clone()) != of && has_shots {
             return Err(StageError::failed(
                 format!(
                     "scan line {}: metadata or sensor model differ from those of the first line",
