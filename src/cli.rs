@@ -105,8 +105,9 @@ fn asks_for_more(arguments: &[OsString]) -> bool {
 fn dispatch(cli: Cli) -> Result<(), Failure> {
     let quiet = cli.loudness.quiet;
     match cli.command {
-        Command::Run { job, machine, archive, resume, relearn } => {
-            run::run(&job, machine, archive.as_deref(), resume, relearn, quiet)
+        Command::Run { job, machine, archive, resume, relearn, from_returns } => {
+            let kind = run::RunKind { archive: archive.as_deref(), resume, relearn, from_returns };
+            run::run(&job, machine, kind, quiet)
         }
         Command::Plan(args) => plan::plan(&args, quiet),
         Command::Collect(args) => plan::collect(&args, quiet),

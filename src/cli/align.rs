@@ -3,27 +3,32 @@
 use std::io::IsTerminal;
 use std::path::PathBuf;
 
-use super::args::{AlignArgs, JobArgs};
+use super::args::{AlignArgs, JobArgs, MachineArgs};
 use super::{Failure, run, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::Override;
 use wavex_run::align::clouds::{CloudsRequest, POSITION_SD_M, align_clouds, are_clouds};
 use wavex_run::align::{AlignConstraints, AlignRequest, Aligned};
 use wavex_run::archive::shown;
+use wavex_run::from_returns::from_returns;
+use wavex_run::run::RunRequest;
 
-/// Aligns, writes the files, prints the results.
+/// Aligns, writes the files, prints the results; runs the job with them if asked.
 pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
     if are_clouds(&args.inputs) {
         return clouds(args, quiet);
     }
     let job_args = job_of(args)?;
     let threads = args.threads.map(|threads| Override::new(format!("job.threads={threads}")));
-    let job = job_args.read(threads)?;
+    let (job, folder) = (job_args.read(threads.clone())?, job_args.folder());
+    // Patches replace the recordings, decomposed or not.
+    let is_from_returns = args.from_returns || args.apply && args.patches.is_empty();
+    let job = if is_from_returns { from_returns(&job, &folder)? } else { job };
     let cancel = Cancel::default();
     run::stop_on_signals(&cancel, run::end_run);
     let request = AlignRequest {
         job: &job,
-        folder: &job_args.folder(),
+        folder: &folder,
         output: &args.output,
         trajectory: args.trajectory,
         constraints: AlignConstraints {
@@ -34,9 +39,17 @@ pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
         },
         patches: &args.patches,
         progress: args.progress.mode(quiet, std::io::stderr().is_terminal()),
-        cancel,
+        cancel: cancel.clone(),
     };
-    show(wavex_run::align::align(&request)?, quiet)
+    let aligned = wavex_run::align::align(&request)?;
+    let settings = aligned.settings.clone().into_iter().map(Override::new);
+    show(aligned, quiet)?;
+    if !args.apply {
+        return Ok(());
+    }
+    let job = from_returns(&job_args.read(settings.chain(threads))?, &folder)?;
+    let machine = MachineArgs { threads: args.threads, profile: false, progress: args.progress };
+    run::run_job(RunRequest { cancel, ..RunRequest::quiet(&job, &folder) }, machine, quiet).map(drop)
 }
 
 /// Prints an alignment.
@@ -53,9 +66,11 @@ fn clouds(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
         ));
     }
     let constraints = [args.control.is_some(), !args.reference.is_empty(), !args.estimate.is_empty()];
-    if constraints.contains(&true) || !args.patches.is_empty() {
+    if constraints.contains(&true) || !args.patches.is_empty() || args.from_returns {
         return Err(Failure::Wrong(
-            "`--control`, `--reference`, `--estimate` and `--patches` are for jobs; leave them out for clouds of points".into(),
+            "`--control`, `--reference`, `--estimate`, `--patches` and `--from-returns` are for jobs; leave them out for clouds \
+             of points"
+                .into(),
         ));
     }
     let cancel = Cancel::default();
@@ -80,9 +95,9 @@ fn job_of(args: &AlignArgs) -> Result<JobArgs, Failure> {
     let [job] = args.inputs.as_slice() else {
         return wrong("give one job (.toml), or clouds of points (.las, .laz, folders of them), not both");
     };
-    if args.apply || args.by_source || args.position_sd.is_some() {
+    if args.by_source || args.position_sd.is_some() {
         return wrong(
-            "`--apply`, `--by-source` and `--position-sd` are for clouds of points (.las, .laz); leave them out for a job",
+            "`--by-source` and `--position-sd` are for clouds of points (.las, .laz); leave them out for a job",
         );
     }
     Ok(JobArgs { job: job.clone(), set: args.set.clone() })

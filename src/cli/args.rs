@@ -404,7 +404,13 @@ pub(super) struct AlignArgs {
     /// Use the files *_patches.arrow of earlier runs instead of the recordings: files, or folders with them
     #[arg(long, value_name = "PATH", num_args = 1..)]
     pub(super) patches: Vec<PathBuf>,
-    /// Also write the corrected clouds into the folder, with the names of the inputs
+    /// Start from the returns files that `write_returns` wrote in an earlier run, without decomposing again
+    #[arg(long)]
+    pub(super) from_returns: bool,
+    /// Then write corrected points: of a job, its outputs with the new files, from the returns files of an earlier run; of
+    /// clouds, moved copies in the folder
+    ///
+    /// Outputs of a job are those of `wavex run` with the new files. Nothing is written after a bad alignment.
     #[arg(long)]
     pub(super) apply: bool,
     /// SD of the position of each strip of clouds, metres [default: 0.1]

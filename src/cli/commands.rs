@@ -67,6 +67,12 @@ pub(super) enum Command {
         /// All inputs are run again if that changes a model.
         #[arg(long, requires = "resume")]
         relearn: bool,
+        /// Start from the returns files that `write_returns` wrote in an earlier run, without decomposing again
+        ///
+        /// For another trajectory, calibration or corrections: outputs have the bytes of a run of the whole job. Files that
+        /// were made from another recording or by other stages are refused.
+        #[arg(long)]
+        from_returns: bool,
     },
     /// Plan a survey as tasks for several machines, one per input
     ///

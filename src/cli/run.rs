@@ -9,18 +9,25 @@ use wavex_engine::engine::{Cancel, Cause, ProgressMode, RunError, RunSummary};
 use wavex_engine::job::Override;
 use wavex_line::stage::{release_all, remove_unfinished_files};
 use wavex_run::archive::check_destination;
+use wavex_run::from_returns;
 use wavex_run::log;
 use wavex_run::run::{Ending, Listener, ResumeCheck, RunRequest};
 
-/// Reads and runs the job; `archive` names the archive to make, `resume` skips complete inputs.
-pub(super) fn run(
-    args: &JobArgs,
-    machine: MachineArgs,
-    archive: Option<&Path>,
-    resume: Option<args::ResumeCheck>,
-    relearn: bool,
-    quiet: bool,
-) -> Result<(), Failure> {
+/// What a run makes besides its outputs, and where it starts.
+pub(super) struct RunKind<'a> {
+    /// Archive to make.
+    pub(super) archive: Option<&'a Path>,
+    /// Skips complete inputs.
+    pub(super) resume: Option<args::ResumeCheck>,
+    /// Whether a resumed run learns the sensor models again.
+    pub(super) relearn: bool,
+    /// Whether it reads returns files instead of the recordings.
+    pub(super) from_returns: bool,
+}
+
+/// Reads and runs the job.
+pub(super) fn run(args: &JobArgs, machine: MachineArgs, kind: RunKind, quiet: bool) -> Result<(), Failure> {
+    let RunKind { archive, resume, relearn, from_returns } = kind;
     let job = args.read(machine.overrides())?;
     if let Some(archive) = archive {
         check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
@@ -32,6 +39,7 @@ pub(super) fn run(
     }
     let resume = resume.map(ResumeCheck::from);
     let folder = args.folder();
+    let job = if from_returns { from_returns::from_returns(&job, &folder)? } else { job };
     run_job(RunRequest { archive, resume, relearn, ..RunRequest::quiet(&job, &folder) }, machine, quiet)
         .map(drop)
 }

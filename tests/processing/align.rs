@@ -244,7 +244,6 @@ fn control_points_and_reference_strips_hold() {
 #[test]
 fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
     let place = survey(&["a", "b", "c"]);
-    place.write("survey.toml", format!("{JOB}[[stage]]\ntype = 'write_patches'\n").as_bytes());
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/how-to/align-a-survey.md");
     let page = fs::read_to_string(page).unwrap();
     let commands: Vec<String> = page
@@ -254,8 +253,11 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
         .filter(|command| !command.contains(".laz"))
         .map(|command| command.replace('"', ""))
         .collect();
-    assert_eq!(commands.len(), 7, "{commands:?}");
+    assert_eq!(commands.len(), 8, "{commands:?}");
     place.write("gcp.csv", control(&[]).as_bytes());
+    let keeping = "mode = 'fastest'\n[[stage]]\ntype = 'write_returns'\n";
+    let job = JOB.replace("mode = 'fastest'\n", keeping) + "[[stage]]\ntype = 'write_patches'\n";
+    place.write("survey.toml", job.as_bytes());
     for strip in ["a", "b", "c"] {
         let (records, _) = FLOWN[&format!("{strip}.out")].as_chunks::<RECORD_BYTES>();
         let late = records
@@ -269,10 +271,14 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
     let before_m = ["a", "b", "c"].map(|strip| distance_m(&place, strip));
     place.write("fixed/corrections.toml", b"of an earlier alignment");
     let mut printed = String::new();
+    let mut outputs = Vec::new();
     for command in &commands {
         let words: Vec<&str> = command.split_whitespace().collect();
         writeln!(printed, "{command}\n{}", succeeds(&place, &words).out).unwrap();
+        outputs.push(["a", "b", "c"].map(|strip| place.text(&format!("out/{strip}.csv"))));
     }
+    assert!(outputs[0] != outputs[6], "the run with the new files has changed the points");
+    assert!(outputs[6] == outputs[7], "--apply gives the bytes of that run");
     println!("{printed}");
     let after_m = ["a", "b", "c"].map(|strip| distance_m(&place, strip));
     println!("points are {before_m:?} m from the truth before, {after_m:?} m after");

@@ -12,6 +12,7 @@ mod align;
 mod align_clouds;
 mod false_alarms;
 mod footprint_models;
+mod from_returns;
 mod fusion;
 mod georeference;
 mod keys;

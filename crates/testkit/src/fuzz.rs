@@ -28,7 +28,7 @@ pub use archives::{archive_folder, archive_tar};
 pub use geodesy::{geoid, geojson, geokeys, terrain_ascii, terrain_geotiff, wkt};
 pub use hdf5::hdf5;
 pub use points::{compressed_packets, copc, las};
-pub use runs::{recording, run, sdf};
+pub use runs::{recording, returns, run, sdf};
 pub use tables::{container, patches, survey_cells, table};
 pub use texts::{calibration, corrections, import, job, lookup_tables, plan, report, sensor_model};
 pub use trajectories::{accuracy, pof, sbet, sol, trajectory_text, trj};
@@ -66,6 +66,7 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("pulsewaves", pulsewaves),
     ("recording", recording),
     ("report", report),
+    ("returns", returns),
     ("run", run),
     ("sbet", sbet),
     ("sdf", sdf),

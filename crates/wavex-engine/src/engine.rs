@@ -146,7 +146,8 @@ pub fn inputs(job: &Job, input_dir: &Path) -> Result<Vec<Input>, RunError> {
 pub fn find_inputs(job: &Job, input_dir: &Path) -> (Vec<Input>, Vec<RunError>) {
     match job.stages.first().map(|stage| &stage.planned.plan) {
         Some(Plan::Source(source)) => {
-            inputs::find(source.paths(), source.stem(), input_dir, |path| source.parts(path))
+            let stem = [source.stem(), source.stem_suffix()];
+            inputs::find(source.paths(), stem, input_dir, |path| source.parts(path))
         }
         _ => {
             let error = StageError::failed("the job has no source", "start it with a reader");
@@ -201,7 +202,12 @@ pub fn run_each(
     let options = &Options { survey, ..options.clone() };
     summary.survey_models = options.survey.clone();
     let pool = pool::start(options)?;
-    let run = |(number, input)| RunContext { number, ..run_context(options, input, pool.clone()) };
+    let stages: Arc<[_]> = job.stages.iter().map(|stage| (stage.spec.name, stage.planned.clone())).collect();
+    let run = |(number, input)| RunContext {
+        number,
+        chain: Arc::clone(&stages),
+        ..run_context(options, input, pool.clone())
+    };
     let runs: Vec<RunContext> = (1..).zip(inputs(job, &options.input_dir)?).map(run).collect();
     summary.inputs = runs.iter().map(InputSummary::not_run).collect();
     let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
@@ -266,6 +272,7 @@ fn run_context(options: &Options, input: Input, pool: Option<Arc<ThreadPool>>) -
         simd: options.simd,
         cancelled: options.cancel.flag(),
         geometry: Arc::default(),
+        chain: Arc::default(),
         survey: options.survey.clone(),
         read_ppm: Arc::default(),
         calibration: Arc::default(),

@@ -11,7 +11,7 @@ pub const WEEK_S: f64 = 604_800.0;
 pub const ADJUSTMENT_S: f64 = 1e9;
 
 /// Time scale of GPS times.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 pub enum TimeScale {
     /// Seconds of the GPS week.
     Week,

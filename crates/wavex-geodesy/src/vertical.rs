@@ -4,7 +4,7 @@ use super::ellipsoid::WGS84;
 use super::frames::Vector;
 
 /// Coordinate frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 pub enum Frame {
     /// Scanner frame.
     Scanner,

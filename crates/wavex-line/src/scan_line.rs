@@ -63,10 +63,21 @@ pub struct ScanLine {
     pub footprints: Vec<Footprint>,
     /// Sample blocks kept after `decompose`, if a sink needs them.
     pub waveforms: Option<Blocks>,
+    /// Shots as the source delivered them, if a sink needs them.
+    pub recorded: Option<Box<RecordedShots>>,
     /// Share of the memory budget.
     ///
     /// Released when the scan line is dropped.
     pub ticket: Option<Ticket>,
+}
+
+/// Shots of a line as its source delivered them, before poses.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedShots {
+    /// Metadata of the recording.
+    pub input: Arc<InputInfo>,
+    /// All shots of the line, with those that no pose exists for.
+    pub emissions: Vec<Emission>,
 }
 
 /// Content of a scan line besides its shots.
@@ -141,6 +152,7 @@ impl ScanLine {
             profiles: Vec::new(),
             footprints: Vec::new(),
             waveforms: None,
+            recorded: None,
             ticket: None,
         }
     }
@@ -163,6 +175,7 @@ impl ScanLine {
             profiles: self.profiles.clone(),
             footprints: self.footprints.clone(),
             waveforms: self.waveforms.clone(),
+            recorded: self.recorded.clone(),
             ticket: None,
         }
     }
@@ -224,8 +237,9 @@ impl ScanLine {
             }
         };
         let waveforms = self.waveforms.as_ref().map_or(0, Blocks::bytes);
+        let recorded = self.recorded.as_ref().map_or(0, |recorded| recorded.emissions.capacity());
         size_of::<ScanLine>()
-            + self.emissions.capacity() * size_of::<Emission>()
+            + (self.emissions.capacity() + recorded) * size_of::<Emission>()
             + self.footprints.capacity() * size_of::<Footprint>()
             + content
             + waveforms

@@ -42,8 +42,8 @@ pub use spec::{
     SinkConfig, SinkPlan, SourceConfig, SourcePlan, StageSpec, TransformConfig,
 };
 pub use stamp::Stamp;
-pub use survey_models::check_model;
 pub use survey_models::{ChannelDrift, Instrument, InstrumentModel, Measured, SensorDrift, SurveyModels};
+pub use survey_models::{check_model, is_valid_fusion};
 pub use whole_steps::check_whole_steps;
 
 /// Failure of a stage.

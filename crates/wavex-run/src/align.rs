@@ -125,6 +125,8 @@ pub struct Aligned {
     pub warnings: Vec<String>,
     /// Written files.
     pub written: Vec<PathBuf>,
+    /// Keys of the job that use them, as `KEY=VALUE`.
+    pub settings: Vec<String>,
     /// Why the alignment is bad; `None` if it is usable.
     pub failure: Option<Failure>,
     /// The report, as written.
@@ -169,14 +171,15 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
     let written = write(request, &survey, &result, &report)?;
     let mut text = words::summary(&survey, &result, control.as_ref());
     let problem = words::problem(&result);
+    let settings = words::settings(request, &input_dir, &written);
     let failure = if result.verdict == Verdict::Bad {
         problem.map(Failure::Run)
     } else {
         warnings.extend(problem);
-        text += &words::next_command(request, &input_dir, &written);
+        text += &words::next_command(request, &settings);
         None
     };
-    Ok(Aligned { text, warnings, written, failure, report, observations: result.observations })
+    Ok(Aligned { text, warnings, written, settings, failure, report, observations: result.observations })
 }
 
 /// Checks what the job alone shows.

@@ -8,6 +8,7 @@ pub mod archive;
 pub mod cluster;
 pub mod explain;
 mod failure;
+pub mod from_returns;
 pub mod job_file;
 pub mod log;
 pub mod run;

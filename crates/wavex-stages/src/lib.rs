@@ -9,5 +9,6 @@ pub mod process;
 pub mod readers;
 pub mod reading;
 pub mod registry;
+pub mod returns_file;
 pub mod stac;
 pub mod writers;

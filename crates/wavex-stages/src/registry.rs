@@ -4,9 +4,9 @@ use crate::process::{
     calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, measure_footprints,
     resolve_mta,
 };
-use crate::readers::{read_arrow, read_hdf5, read_las, read_pulsewaves, read_sdf, simulate};
+use crate::readers::{read_arrow, read_hdf5, read_las, read_pulsewaves, read_returns, read_sdf, simulate};
 use crate::writers::{
-    write_arrow, write_ascii, write_footprints, write_las, write_lstat, write_patches, write_table,
+    write_arrow, write_ascii, write_footprints, write_las, write_lstat, write_patches, write_returns, write_table,
     write_trajectory,
 };
 use wavex_line::stage::{StageSpec, find_in};
@@ -18,6 +18,7 @@ pub const STAGES: &[&StageSpec] = &[
     &read_sdf::STAGE,
     &read_arrow::STAGE,
     &read_hdf5::STAGE,
+    &read_returns::STAGE,
     &simulate::STAGE,
     &resolve_mta::STAGE,
     &fuse_channels::STAGE,
@@ -35,6 +36,7 @@ pub const STAGES: &[&StageSpec] = &[
     &write_footprints::STAGE,
     &write_patches::STAGE,
     &write_arrow::STAGE,
+    &write_returns::STAGE,
 ];
 
 /// Returns the stage of this name.

@@ -88,6 +88,16 @@ fn write(place: &Files, parts: &[&[u8]]) -> Option<(&'static str, &'static str)>
     Some((reader, name))
 }
 
+/// Decomposed lines, from which points are made.
+pub fn returns(bytes: &[u8]) {
+    if bytes.len() > MOST_BYTES {
+        return;
+    }
+    let place = Files::with(&[("a_decomposed.arrow", bytes)]);
+    let (_, after) = TO_POINTS.split_once("type = 'decompose'\n").unwrap();
+    points(&place, &format!("[[stage]]\ntype = 'read_returns'\npath = 'a_decomposed.arrow'\n{after}"));
+}
+
 /// Runs a job of these stages and checks its outputs.
 fn points(place: &Files, stages: &str) {
     let job = Job::parse(STAGES, "job.toml", stages, &[]).unwrap_or_else(|errors| panic!("{errors}"));

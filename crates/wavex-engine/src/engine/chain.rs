@@ -191,7 +191,8 @@ fn work(
     match (&stage.planned.plan, inlet) {
         (Plan::Source(plan), None) => {
             let posed = PoseSource::new(plan.make(run_context)?, Arc::clone(&run_context.geometry));
-            run_source(Box::new(posed), worker)
+            let keeps_recorded = run_context.chain.iter().any(|(_, stage)| stage.plan.needs_recorded());
+            run_source(Box::new(posed.keeping_recorded(keeps_recorded)), worker)
         }
         (Plan::Map(plan), Some(mut inlet)) => run_map(plan.make(run_context)?, &mut inlet, worker),
         (Plan::Transform(plan), Some(mut inlet)) => {

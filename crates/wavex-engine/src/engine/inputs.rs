@@ -31,16 +31,16 @@ impl Input {
 
 /// Lists the inputs in the order of the job; matches of a pattern are sorted by name.
 pub fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Result<Vec<Input>, RunError> {
-    let (inputs, errors) = find(paths, stem, input_dir, |_| Vec::new());
+    let (inputs, errors) = find(paths, [stem, ""], input_dir, |_| Vec::new());
     errors.into_iter().next().map_or(Ok(inputs), Err)
 }
 
 /// Lists the inputs like [`expand`], and the problems of others.
 ///
-/// `parts` lists the parts of a file that are inputs of their own; none: the file is one.
+/// `stem` is that of a source without files, `suffix` the end of names that is no part of a stem. `parts` lists the parts of a file that are inputs of their own; none: the file is one.
 pub(super) fn find(
     paths: Option<&Paths>,
-    stem: &str,
+    [stem, suffix]: [&str; 2],
     input_dir: &Path,
     parts: impl Fn(&Path) -> Vec<String>,
 ) -> (Vec<Input>, Vec<RunError>) {
@@ -68,6 +68,7 @@ pub(super) fn find(
                 continue;
             }
             let stem = stem_of(&path);
+            let stem = stem.strip_suffix(suffix).filter(|stem| !stem.is_empty()).unwrap_or(&stem).to_owned();
             if let Some(other) = stems.insert(stem.clone(), path.clone()) {
                 errors.push(RunError::of_job(StageError::failed(
                     format!(
@@ -226,7 +227,7 @@ mod tests {
             true => vec!["B1".to_owned(), "../2".to_owned()],
             false => Vec::new(),
         };
-        let (inputs, errors) = find(Some(&paths), "", Path::new("in"), parts);
+        let (inputs, errors) = find(Some(&paths), ["", ""], Path::new("in"), parts);
         let found: Vec<_> = inputs.iter().map(|input| (input.stem.as_str(), input.part.as_deref())).collect();
         assert_eq!(found, [("a_B1", Some("B1")), ("a____2", Some("../2")), ("b", None)]);
         assert!(errors.is_empty() && inputs.iter().take(2).all(|input| input.path == Path::new("in/a.h5")));

@@ -38,6 +38,11 @@ impl TableReader {
         &self.schema
     }
 
+    /// Fraction of the file that was read, 0 to 1, if its length is known.
+    pub fn progress(&self) -> Option<f64> {
+        self.messages.progress()
+    }
+
     /// Returns the next record batch, or `None` at the end; columns may contain nulls.
     ///
     /// # Errors

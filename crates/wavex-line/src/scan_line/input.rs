@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use serde::{Deserialize, Serialize};
+
 use super::Emission;
 use wavex_geodesy::crs::units_of_wkt;
 use wavex_geodesy::frames::Vector;
@@ -10,11 +12,14 @@ use wavex_geodesy::time_axis::Alignment;
 use wavex_geodesy::vertical::Frame;
 
 /// Metadata of an input, shared by all stages of a run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct InputInfo {
     /// Path of the file; empty if simulated.
+    #[serde(skip)]
     pub path: PathBuf,
     /// Base name of outputs: the file name without its extension.
+    #[serde(skip)]
     pub stem: String,
     /// Description of the format, such as `PulseWaves 0.3`.
     pub format: String,
@@ -77,12 +82,15 @@ pub struct InputInfo {
     /// waveforms, and ranges count from there.
     pub origin_is_sensor: bool,
     /// First shot; `None` before it.
+    #[serde(skip)]
     pub first_shot: Option<FirstShot>,
     /// Name of the beam, of an instrument with several.
     pub beam: Option<String>,
     /// Power of the beam, `full` or `coverage`, of an instrument whose beams differ.
+    #[serde(skip)]
     pub beam_power: Option<&'static str>,
     /// Names of further values that a recording of large footprints has of each shot.
+    #[serde(skip)]
     pub columns: Vec<&'static str>,
     /// Amplitude table of the low-power channel: digitiser steps to dB.
     pub amplitude_low: Option<AmplitudeTable>,
@@ -174,7 +182,7 @@ impl FirstShot {
 }
 
 /// Automatic gain control of a recording.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub enum GainControl {
     /// None: each receiver has one gain.
     #[default]
@@ -186,7 +194,7 @@ pub enum GainControl {
 }
 
 /// Source of the emission time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum EmissionReference {
     /// The outgoing pulse of each shot was recorded and is fitted.
     OutgoingPulse,
@@ -204,9 +212,24 @@ pub enum EmissionReference {
 }
 
 /// Table of digitiser steps and values, ascending in steps.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(try_from = "Vec<(f64, f64)>", into = "Vec<(f64, f64)>")]
 pub struct AmplitudeTable {
     pairs: Vec<(f64, f64)>,
+}
+
+impl TryFrom<Vec<(f64, f64)>> for AmplitudeTable {
+    type Error = &'static str;
+
+    fn try_from(pairs: Vec<(f64, f64)>) -> Result<AmplitudeTable, &'static str> {
+        AmplitudeTable::new(pairs).ok_or("a table with fewer than two defined pairs")
+    }
+}
+
+impl From<AmplitudeTable> for Vec<(f64, f64)> {
+    fn from(table: AmplitudeTable) -> Vec<(f64, f64)> {
+        table.pairs
+    }
 }
 
 impl AmplitudeTable {

@@ -93,6 +93,9 @@ pub mod emission_flags {
     pub const EDGE_OF_FLIGHT_LINE: u16 = 1 << 9;
     /// The echo blocks are byte-identical copies of the previous shot's blocks; set by readers.
     pub const COPY: u16 = 1 << 10;
+    /// The trajectory had no pose for the shot when its line was decomposed, so that its returns are unknown; set by
+    /// `read_returns`.
+    pub const NOT_DECOMPOSED: u16 = 1 << 11;
 }
 
 /// Contiguous samples of one receiver.

@@ -6,7 +6,9 @@ use crate::georef::scan_angles::{ScanAngles, are_unknown, set_directions};
 use crate::georef::transform::{scan_angle_deg, to_earth};
 use crate::georef::{self, Geometry};
 use crate::plausibility::Check;
-use crate::scan_line::{Content, Emission, FirstShot, Frame, InputInfo, ScanLine};
+use crate::scan_line::{
+    Content, Emission, FirstShot, Frame, InputInfo, RecordedShots, ScanLine, emission_flags,
+};
 use crate::stage::{Context, Reason, Result, Source, StageError};
 use wavex_geodesy::time::day_of_year;
 use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, TimeSpan, Unwrap, utc_hint};
@@ -28,6 +30,8 @@ pub struct PoseSource {
     input: Option<[Arc<InputInfo>; 2]>,
     angles: ScanAngles,
     has_ended: bool,
+    /// Whether lines keep their shots as recorded.
+    keeps_recorded: bool,
 }
 
 impl PoseSource {
@@ -43,7 +47,13 @@ impl PoseSource {
             input: None,
             angles: ScanAngles::default(),
             has_ended: false,
+            keeps_recorded: false,
         }
+    }
+
+    /// Keeps the shots of each line as recorded, see [`ScanLine::recorded`].
+    pub fn keeping_recorded(self, keeps_recorded: bool) -> PoseSource {
+        PoseSource { keeps_recorded, ..self }
     }
 }
 
@@ -109,6 +119,10 @@ impl PoseSource {
 
     fn place(&mut self, mut scan_line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
         let mut frame = scan_line.input.frame;
+        scan_line.recorded = self.keeps_recorded.then(|| {
+            let (input, emissions) = (Arc::clone(&scan_line.input), scan_line.emissions.clone());
+            Box::new(RecordedShots { input, emissions })
+        });
         match frame {
             Frame::Map | Frame::Earth => {
                 self.geometry.keys().unused_in(frame).into_iter().for_each(|problem| cx.warn(problem));
@@ -125,6 +139,12 @@ impl PoseSource {
                 frame = Frame::Body;
             }
             _ => {}
+        }
+        // Of other lines, the flag has the meaning that their file gives it.
+        if matches!(scan_line.content, Content::Returns(_))
+            && let Some(shot) = scan_line.emissions.iter().find(|shot| is_not_decomposed(shot))
+        {
+            return Err(decomposed_otherwise(shot));
         }
         if let (None, Some(first)) = (self.first_shot, scan_line.emissions.first()) {
             self.first_shot = Some(FirstShot { alignment: self.alignment, ..FirstShot::of(first) });
@@ -159,6 +179,8 @@ impl PoseSource {
         let mut down = None;
         let mut place = Vec::with_capacity(scan_line.emissions.len());
         let mut kept = 0;
+        let mut lost = None;
+        let has_returns = matches!(scan_line.content, Content::Returns(_));
         let geometry = Arc::clone(&self.geometry);
         let mut poses = self.alignment.and_then(|alignment| geometry.poses(alignment));
         scan_line.emissions.retain_mut(|emission| {
@@ -168,9 +190,14 @@ impl PoseSource {
             if let Some(pose) = &pose {
                 kept += 1;
                 pose_one(&geometry, emission, pose, &mut down);
+            } else if has_returns && !is_not_decomposed(emission) {
+                lost.get_or_insert(*emission);
             }
             pose.is_some()
         });
+        if let Some(shot) = lost {
+            return Err(decomposed_otherwise(&shot));
+        }
         if (kept as usize) < place.len() {
             self.coverage.check(self.alignment.as_ref())?;
             reject(scan_line, &place, cx);
@@ -224,16 +251,49 @@ fn pose_one(geometry: &Geometry, emission: &mut Emission, pose: &Pose, down: &mu
     }
 }
 
+/// Whether the returns of a shot are unknown.
+fn is_not_decomposed(shot: &Emission) -> bool {
+    shot.flags & emission_flags::NOT_DECOMPOSED != 0
+}
+
+/// Error for a shot that has a pose only before or only after its decomposition.
+fn decomposed_otherwise(shot: &Emission) -> StageError {
+    let [now, then] = match is_not_decomposed(shot) {
+        true => ["has a pose", "had none"],
+        false => ["has no pose", "had one"],
+    };
+    StageError::failed(
+        format!(
+            "shot {} at {:.6} s {now} with this trajectory and calibration, but {then} when its line was decomposed",
+            shot.shot, shot.gps_time_s
+        ),
+        "run the job again without `--from-returns`",
+    )
+}
+
 /// Removes the shots without a pose and their blocks; `place` gives the new indices of the others.
 fn reject(scan_line: &mut ScanLine, place: &[Option<u32>], cx: &mut Context) {
     let shots = place.iter().filter(|place| place.is_none()).count() as u64;
     let mut n_blocks = 0;
-    if let Content::Shots(blocks) = &mut scan_line.content {
-        let before = blocks.len();
-        blocks.keep(place);
-        n_blocks = (before - blocks.len()) as u64;
-        scan_line.stats.nw = blocks.waveforms() as u64;
+    let keep = |emission: &mut u32| match place.get(*emission as usize).copied().flatten() {
+        Some(place) => {
+            *emission = place;
+            true
+        }
+        None => false,
+    };
+    match &mut scan_line.content {
+        Content::Shots(blocks) => {
+            let before = blocks.len();
+            blocks.keep(place);
+            n_blocks = (before - blocks.len()) as u64;
+            scan_line.stats.nw = blocks.waveforms() as u64;
+        }
+        Content::Returns(returns) | Content::Points(returns, _) => {
+            returns.retain_mut(|found| keep(&mut found.emission));
+        }
     }
+    scan_line.profiles.retain_mut(|profile| keep(&mut profile.emission));
     cx.reject_with_blocks(Reason::OutsideTrajectory, shots, n_blocks);
 }
 

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use wavex_signal::calibrate::CalibrationProgress;
 use wavex_simd::SimdLevel;
 
-use super::{OutputFile, Result, SurveyModels};
+use super::{OutputFile, Planned, Result, SurveyModels};
 use crate::georef::Geometry;
 use crate::keys::InvalidKey;
 
@@ -38,6 +38,8 @@ pub struct RunContext {
     pub cancelled: Arc<AtomicBool>,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: Arc<Geometry>,
+    /// Types and keys of all stages of the job; none outside of a run.
+    pub chain: Arc<[(&'static str, Planned)]>,
     /// Sensor models of the survey; `None`: the recording has its own.
     pub survey: Option<Arc<SurveyModels>>,
     /// Fraction of the input read, ppm, for the progress display.
@@ -68,6 +70,7 @@ impl RunContext {
             read_ppm: Arc::default(),
             calibration: Arc::default(),
             geometry: Arc::default(),
+            chain: Arc::default(),
             survey: None,
             has_outputs: true,
         }

@@ -49,6 +49,11 @@ pub trait SourceConfig: Config {
         "out"
     }
 
+    /// End of the names of its files that is no part of the stem of the outputs.
+    fn stem_suffix(&self) -> &'static str {
+        ""
+    }
+
     /// Key with the names of the parts to read, if each part of a file is an input of its own; `None`: each file is
     /// one.
     fn part_key(&self) -> Option<&'static str> {
@@ -161,6 +166,11 @@ pub trait SinkConfig: Config {
         false
     }
 
+    /// Whether lines must keep their shots as recorded, see [`ScanLine::recorded`].
+    fn needs_recorded(&self) -> bool {
+        false
+    }
+
     /// Creates the files of a run.
     fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>>;
 }
@@ -229,6 +239,11 @@ impl Plan {
     pub fn needs_waveforms(&self) -> bool {
         matches!(self, Plan::Sink(sink) if sink.needs_waveforms())
     }
+
+    /// Whether lines must keep their shots as recorded.
+    pub fn needs_recorded(&self) -> bool {
+        matches!(self, Plan::Sink(sink) if sink.needs_recorded())
+    }
 }
 
 /// A [`Plan`], with keys and all defaults.
@@ -252,6 +267,10 @@ pub trait SourcePlan: Send + Sync {
     }
     /// See [`SourceConfig::stem`].
     fn stem(&self) -> &str {
+        ""
+    }
+    /// See [`SourceConfig::stem_suffix`].
+    fn stem_suffix(&self) -> &'static str {
         ""
     }
     /// See [`SourceConfig::part_key`].
@@ -307,6 +326,10 @@ pub trait SinkPlan: Send + Sync {
     fn needs_waveforms(&self) -> bool {
         false
     }
+    /// See [`SinkConfig::needs_recorded`].
+    fn needs_recorded(&self) -> bool {
+        false
+    }
     /// See [`SinkConfig::make`].
     fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>>;
 }
@@ -325,6 +348,9 @@ impl<C: SourceConfig> SourcePlan for C {
     }
     fn stem(&self) -> &str {
         SourceConfig::stem(self)
+    }
+    fn stem_suffix(&self) -> &'static str {
+        SourceConfig::stem_suffix(self)
     }
     fn part_key(&self) -> Option<&'static str> {
         SourceConfig::part_key(self)
@@ -376,6 +402,9 @@ impl<C: SinkConfig> SinkPlan for C {
     }
     fn needs_waveforms(&self) -> bool {
         SinkConfig::needs_waveforms(self)
+    }
+    fn needs_recorded(&self) -> bool {
+        SinkConfig::needs_recorded(self)
     }
     fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
         SinkConfig::make(self, run)

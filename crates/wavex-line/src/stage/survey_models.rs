@@ -252,7 +252,7 @@ impl SurveyModels {
         for model in self.instruments.iter().filter_map(|instrument| instrument.sensor_model.as_deref()) {
             check_model(model)?;
         }
-        if !self.instruments.iter().filter_map(|instrument| instrument.fusion.as_ref()).all(is_valid) {
+        if !self.instruments.iter().filter_map(|instrument| instrument.fusion.as_ref()).all(is_valid_fusion) {
             return Err("gain ratio or delay has invalid numbers".to_owned());
         }
         let instruments = self.instruments.len();
@@ -277,7 +277,7 @@ fn read_shared<'de, D: Deserializer<'de>>(
 }
 
 /// Whether gain and delay are possible, and the delays are in the order of their heights.
-fn is_valid(fusion: &ChannelFusion) -> bool {
+pub fn is_valid_fusion(fusion: &ChannelFusion) -> bool {
     let is_sd = |sd: f64| sd.is_finite() && sd >= 0.0;
     let is_delay = |delay_ns: f64| delay_ns.abs() <= MAX_DELAY_NS;
     fusion.gain_ratio > 0.0
@@ -335,8 +335,8 @@ mod tests {
             walk: Vec::new(),
             walk_is_known: false,
         };
-        let valid =
-            [(5.0, 0.2), (0.0, 0.2), (f64::NAN, 0.2), (5.0, 1e6)].map(|(g, d)| is_valid(&fusion(g, d)));
+        let valid = [(5.0, 0.2), (0.0, 0.2), (f64::NAN, 0.2), (5.0, 1e6)]
+            .map(|(g, d)| is_valid_fusion(&fusion(g, d)));
         assert_eq!(valid, [true, false, false, false]);
         let found = |stem, info: &InputInfo| models.of_recording(stem, info).is_some();
         assert!(found("a", &info) && found("new", &info) && !found("b", &info));

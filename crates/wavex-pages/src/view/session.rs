@@ -167,12 +167,7 @@ impl Session {
     /// # Errors
     /// If the job has no input, none can be found, or a file of its geometry cannot be read.
     pub(super) fn new(opened: Opened, cancel: Cancel) -> Result<Session, String> {
-        let source = match opened.job.stages.first().map(|stage| &stage.planned.plan) {
-            Some(Plan::Source(source)) => source,
-            _ => return Err(format!("{}: the job has no reader; add one", opened.job.name)),
-        };
-        let inputs = engine::expand(source.paths(), source.stem(), &opened.input_dir);
-        let inputs = inputs.map_err(|error| error.to_string())?;
+        let inputs = engine::inputs(&opened.job, &opened.input_dir).map_err(|error| error.to_string())?;
         if let Some(stream) = inputs.iter().find(|input| input.path.as_os_str() == "-") {
             return Err(format!("{}: standard input cannot be read twice; give a file", stream.stem));
         }

@@ -7,10 +7,12 @@ use super::control::Control;
 use super::report::verdict_word;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, CALIBRATION_FILE, CORRECTIONS_FILE};
+use crate::from_returns::writes_returns;
 use wavex_align::estimable::{
     DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, FlightFacts, Treatment, Verdict, reasons,
 };
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult};
+use wavex_engine::job::Job;
 use wavex_geodesy::calibration::Calibration;
 
 /// Most overlaps that are listed.
@@ -141,18 +143,32 @@ fn line_of(found: &ParameterResult, facts: &FlightFacts) -> String {
     }
 }
 
+/// Keys of the job that use the files, as `KEY=VALUE`.
+pub(super) fn settings(request: &AlignRequest<'_>, input_dir: &Path, written: &[PathBuf]) -> Vec<String> {
+    let files = [(CALIBRATION_FILE, "calibration"), (CORRECTIONS_FILE, "corrections")];
+    let written = files.into_iter().filter(|(name, _)| written.iter().any(|path| path.ends_with(name)));
+    let setting = |(name, key): (&str, &str)| {
+        let file = from_inputs(&request.output.join(name), input_dir);
+        format!("job.geometry.{key}={}", toml::Value::String(file.display().to_string()))
+    };
+    written.map(setting).collect()
+}
+
 /// The command that uses the files.
-pub(super) fn next_command(request: &AlignRequest<'_>, input_dir: &Path, written: &[PathBuf]) -> String {
-    let has = |name: &str| written.iter().any(|path| path.ends_with(name));
+pub(super) fn next_command(request: &AlignRequest<'_>, settings: &[String]) -> String {
     let mut command = format!("wavex run {}", request.job.name);
-    for (name, key) in [(CALIBRATION_FILE, "calibration"), (CORRECTIONS_FILE, "corrections")] {
-        if has(name) {
-            let file = from_inputs(&request.output.join(name), input_dir);
-            let value = toml::Value::String(file.display().to_string());
-            let _ = write!(command, " \\\n  --set 'job.geometry.{key}={value}'");
-        }
+    if reads_returns(request.job) || writes_returns(request.job) {
+        command += " --from-returns";
+    }
+    for setting in settings {
+        let _ = write!(command, " \\\n  --set '{setting}'");
     }
     format!("next: {command}\n")
+}
+
+/// Whether the job was made by [`from_returns`](crate::from_returns).
+fn reads_returns(job: &Job) -> bool {
+    job.stages.first().is_some_and(|stage| stage.spec.name == "read_returns")
 }
 
 /// Path of a file as keys of `[job.geometry]` give it: relative to `input_dir` if it is below, else absolute.

@@ -1,0 +1,3 @@
+#![no_main]
+
+wavex_fuzz::target!(returns);
