@@ -450,6 +450,9 @@ mod tests {
             },
             trajectories: Vec::new(),
             calibration: None,
+            control: None,
+            reference_strips: Vec::new(),
+            trajectory_sds: None,
         }
     }
 
