@@ -225,7 +225,8 @@ pub(super) enum Command {
     /// Runs the job over all its inputs without its outputs, and compares smooth surface where strips overlap.
     /// Writes boresight, lever arm and range offset as calibration.toml, corrections of each strip's trajectory as
     /// corrections.toml, and all results with standard deviations as align.json. Prints what the flight does not
-    /// determine, and why. docs/how-to/align-a-survey.md describes it.
+    /// determine, and why. Clouds of points without trajectory (.las, .laz) get corrections of their positions, as
+    /// corrections.csv, and with --apply are written moved. docs/how-to/align-a-survey.md describes it.
     #[command(after_help = usage::ALIGN)]
     Align(AlignArgs),
     /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
