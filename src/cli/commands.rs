@@ -232,7 +232,9 @@ pub(super) enum Command {
     /// Writes boresight, lever arm and range offset as calibration.toml, corrections of each strip's trajectory as
     /// corrections.toml, all results with standard deviations as align.json and as a page (align.html), and the
     /// differences of all pairs of patches (residuals.arrow). Prints what the flight does not determine, and why.
-    /// docs/how-to/align-a-survey.md describes it.
+    ///
+    /// Clouds of points without trajectory (.las, .laz) get corrections of their positions, as corrections.csv, and with
+    /// --apply are written moved. docs/how-to/align-a-survey.md describes it.
     #[command(after_help = usage::ALIGN)]
     Align(AlignArgs),
     /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text

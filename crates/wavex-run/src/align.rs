@@ -14,7 +14,7 @@ use wavex_align::observation::Observation;
 use wavex_align::parameters::{Global, GlobalPriors};
 use wavex_align::result::Alignment;
 use wavex_align::survey::{Installation, Strip, Survey};
-use wavex_engine::engine::{Cancel, Options, ProgressMode};
+use wavex_engine::engine::{self, Cancel, Options, ProgressMode};
 use wavex_engine::job::Job;
 use wavex_formats::Error;
 use wavex_geodesy::crs::Unit;
@@ -231,8 +231,9 @@ fn check_references(request: &AlignRequest<'_>, options: &Options) -> Result<(),
     if !request.patches.is_empty() {
         return Ok(());
     }
-    let names: Vec<String> =
-        strips::inputs(request.job, options)?.into_iter().map(|input| input.stem).collect();
+    let inputs = engine::inputs(request.job, &options.input_dir);
+    let inputs = inputs.map_err(|error| Failure::Run(error.to_string()))?;
+    let names: Vec<String> = inputs.into_iter().map(|input| input.stem).collect();
     match references.iter().find(|name| !names.contains(name)) {
         Some(unknown) => {
             Err(Failure::Wrong(unknown_reference(request, unknown, names.iter().map(String::as_str))))

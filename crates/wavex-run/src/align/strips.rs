@@ -61,15 +61,6 @@ pub(super) struct SurveyStrips {
     pub(super) scanner: Scanner,
 }
 
-/// Inputs of a job.
-pub(super) fn inputs(job: &Job, options: &Options) -> std::result::Result<Vec<Input>, Failure> {
-    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
-        return Err(Failure::Wrong(format!("{}: the job has no reader; add one", job.name)));
-    };
-    let inputs = engine::expand(source.paths(), source.stem(), &options.input_dir);
-    inputs.map_err(|error| Failure::Run(error.to_string()))
-}
-
 /// Patches of all inputs of a job: from files, or by its chain without its sinks.
 ///
 /// # Errors
@@ -81,7 +72,7 @@ pub(super) fn collect(
     files: &[PathBuf],
 ) -> std::result::Result<SurveyStrips, Failure> {
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    let inputs = inputs(job, options);
+    let inputs = engine::inputs(job, &options.input_dir);
     let mut job = job.clone();
     job.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
     job.settings.geometry.corrections = None;
@@ -98,7 +89,7 @@ pub(super) fn collect(
         scanner: Scanner { body_from_mount, calibration: Default::default() },
     };
     if files.is_empty() {
-        let inputs = inputs?;
+        let inputs = inputs.map_err(|error| failed(&error))?;
         if let [only] = inputs.as_slice() {
             return Err(Failure::Wrong(format!(
                 "{}: the job has one input, `{}`, and alignment compares strips; give the reader a pattern such as \
