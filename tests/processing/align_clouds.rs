@@ -356,7 +356,11 @@ fn clouds_that_cannot_be_aligned_are_refused_with_a_remedy() {
         ),
         (&["a.las", "survey.toml", "-o", "aligned"], 2, "give one job (.toml), or clouds of points"),
         (&["survey.toml", "-o", "aligned", "--by-source"], 2, "are for clouds of points"),
-        (&["a.las", "b.las", "-o", "aligned", "--reference", "a"], 2, "are for jobs; leave them out for clouds"),
+        (
+            &["a.las", "b.las", "-o", "aligned", "--reference", "a"],
+            2,
+            "are for jobs; leave them out for clouds",
+        ),
         (&["a.las", "b.las", "-o", "aligned", "--position-sd", "0"], 2, "give metres from 0.001 to 10"),
     ] {
         let (code, err) = of(arguments);

@@ -311,7 +311,9 @@ impl PatchMaker {
             self.counts.sparse += 1;
         } else if cell.n_multiple as f64 > self.settings.most_multiple * n as f64 {
             self.counts.multiple += 1;
-        } else if let Some((mut patch, normal)) = fit(&cell.returns, &self.frame.horizon(key.0), &self.settings) {
+        } else if let Some((mut patch, normal)) =
+            fit(&cell.returns, &self.frame.horizon(key.0), &self.settings)
+        {
             patch.strip = self.strip;
             let block = (key.1.div_euclid(BLOCK_CELLS), key.2.div_euclid(BLOCK_CELLS));
             self.patches.push(Kept { patch, class: slope_class(normal), rank: block_rank(block) });
@@ -666,7 +668,8 @@ mod tests {
     fn cells_of_tiles_do_not_depend_on_the_strip() {
         let all = returns(192, 1, 0.01, |_, _| 0.0);
         let made = |given: &[PatchReturn]| {
-            let mut maker = PatchMaker::on_tiles(PatchSettings { most_patches: 300, ..PatchSettings::default() });
+            let mut maker =
+                PatchMaker::on_tiles(PatchSettings { most_patches: 300, ..PatchSettings::default() });
             given.iter().for_each(|given| maker.add(given));
             maker.finish().0
         };

@@ -258,10 +258,12 @@ fn references(request: &AlignRequest<'_>, survey: &SurveyStrips) -> Result<Vec<u
         let found = survey.strips.iter().position(|strip| strip.name == *name);
         let failed = survey.failures.iter().find(|failed| failed.name == *name);
         found.ok_or_else(|| match failed {
-            Some(failed) => {
-                Failure::Run(format!("the reference strip cannot be used: {}", failed.problem))
-            }
-            None => Failure::Wrong(unknown_reference(request, name, survey.strips.iter().map(|strip| &*strip.name))),
+            Some(failed) => Failure::Run(format!("the reference strip cannot be used: {}", failed.problem)),
+            None => Failure::Wrong(unknown_reference(
+                request,
+                name,
+                survey.strips.iter().map(|strip| &*strip.name),
+            )),
         })
     };
     request.constraints.references.iter().map(index).collect()

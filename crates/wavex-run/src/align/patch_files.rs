@@ -58,7 +58,9 @@ pub(super) fn find(given: &[PathBuf], inputs: &[Input]) -> Result<Vec<FoundStrip
             }
         });
     }
-    found.sort_by_key(|strip| (order.get(strip.name.as_str()).copied().unwrap_or(usize::MAX), strip.name.clone()));
+    found.sort_by_key(|strip| {
+        (order.get(strip.name.as_str()).copied().unwrap_or(usize::MAX), strip.name.clone())
+    });
     let missing: Vec<&Input> =
         inputs.iter().filter(|input| !found.iter().any(|strip| strip.name == input.stem)).collect();
     found.extend(missing.into_iter().map(|input| FoundStrip {

@@ -166,7 +166,8 @@ impl ReadStrip {
             )));
         }
         let (path, n_patches) = (recording.to_owned(), patches.len());
-        let strip = SurveyStrip { name: stem, path, trajectory: 0, clock, span_s, n_shots, n_patches, counts };
+        let strip =
+            SurveyStrip { name: stem, path, trajectory: 0, clock, span_s, n_shots, n_patches, counts };
         Ok(ReadStrip { strip, patches, geometry })
     }
 }

@@ -99,8 +99,9 @@ impl StripMaker {
                 }
             };
             let (nav_m, body_from_ecef): (Vector, _) = pose;
-            let point_in_ecef_m: Vector =
-                std::array::from_fn(|axis| emission.origin_m[axis] + given.range_m * emission.direction[axis]);
+            let point_in_ecef_m: Vector = std::array::from_fn(|axis| {
+                emission.origin_m[axis] + given.range_m * emission.direction[axis]
+            });
             let from_nav_m: Vector = std::array::from_fn(|axis| point_in_ecef_m[axis] - nav_m[axis]);
             let length_m = from_nav_m.iter().map(|part| part * part).sum::<f64>().sqrt();
             // Counted from the origin of the scanner, whatever the recording counts from.
