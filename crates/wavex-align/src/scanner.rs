@@ -18,7 +18,12 @@ impl Scanner {
     /// Beam without corrections, from the origin of the scanner, whose corrected end is here in the body frame.
     ///
     /// The inverse of [`Scanner::locate`] up to rounding. `None` without a direction.
-    pub fn beam_to(&self, time_s: f64, end_in_body_m: Vector, on_low_power_scale: bool) -> Option<ScannerBeam> {
+    pub fn beam_to(
+        &self,
+        time_s: f64,
+        end_in_body_m: Vector,
+        on_low_power_scale: bool,
+    ) -> Option<ScannerBeam> {
         let calibration = &self.calibration;
         let mount_from_body = inverse(&self.body_from_mount);
         let in_mount_m = rotate(&mount_from_body, difference(end_in_body_m, calibration.lever_arm_m));

@@ -50,7 +50,10 @@ fn patch_files_give_the_alignment_of_the_recordings() {
     // In any order.
     let given = ["c", "b", "a"].map(|strip| format!("out/{strip}_patches.arrow"));
     let given: Vec<&str> = given.iter().map(String::as_str).collect();
-    succeeds(&place, &[&["align", "survey.toml", "-o", "given", "--quiet", "--patches"], &given[..]].concat());
+    succeeds(
+        &place,
+        &[&["align", "survey.toml", "-o", "given", "--quiet", "--patches"], &given[..]].concat(),
+    );
     expect_equal("given");
     // As tasks of a plan, whose bytes are those of separate runs.
     fs::remove_dir_all(place.path("out")).unwrap();
@@ -78,7 +81,8 @@ fn patch_files_give_the_alignment_of_the_recordings() {
 fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     assert_eq!(from.len(), to.len());
     let mut bytes = bytes.to_vec();
-    let places: Vec<usize> = (0..=bytes.len() - from.len()).filter(|at| bytes[*at..].starts_with(from)).collect();
+    let places: Vec<usize> =
+        (0..=bytes.len() - from.len()).filter(|at| bytes[*at..].starts_with(from)).collect();
     assert!(!places.is_empty(), "{}", String::from_utf8_lossy(from));
     places.into_iter().for_each(|at| bytes[at..at + to.len()].copy_from_slice(to));
     bytes
@@ -102,14 +106,14 @@ fn unusable_patches_are_named_and_the_rest_is_aligned() {
     let of_c = &PATCHES["c_patches.arrow"];
     let cases: [(Break, &str); 12] = [
         (
-            |place| drop(place.write(FILE, &PATCHES["c_patches.arrow"][..5000])),
-            "out/c_patches.arrow: byte 5000: end of the file: the footer is missing; the file is cut off: copy it again",
+            |place| place.write(FILE, &PATCHES["c_patches.arrow"][..5000]),
+            "out/c_patches.arrow: byte 4990: end of the file: the footer is missing; the file is cut off: copy it again",
         ),
         (
-            |place| drop(place.write(FILE, &FLOWN["c.arrow"])),
+            |place| place.write(FILE, &FLOWN["c.arrow"]),
             "out/c_patches.arrow: not the patches of a strip; run its strip again with `write_patches`",
         ),
-        (|place| drop(place.write(FILE, b"time,x,y,z\n")), "out/c_patches.arrow: "),
+        (|place| place.write(FILE, b"time,x,y,z\n"), "out/c_patches.arrow: "),
         (
             |place| {
                 let other = replaced(&PATCHES["c_patches.arrow"], b"\x01\0\0\x001\0", b"\x01\0\0\x002\0");
@@ -118,7 +122,9 @@ fn unusable_patches_are_named_and_the_rest_is_aligned() {
             "out/c_patches.arrow: version 2 of patches is not supported; run its strip again with `write_patches`",
         ),
         (
-            |place| drop(place.write(FILE, &replaced(&PATCHES["c_patches.arrow"], b"\"patches\":", b"\"patchez\":"))),
+            |place| {
+                place.write(FILE, &replaced(&PATCHES["c_patches.arrow"], b"\"patches\":", b"\"patchez\":"))
+            },
             "out/c_patches.arrow: invalid description of the strip: ",
         ),
         (
@@ -143,12 +149,13 @@ fn unusable_patches_are_named_and_the_rest_is_aligned() {
             "far: the strip shares no smooth surface with another one and is not aligned; check its trajectory and area",
         ),
         (
-            |place| drop(place.write("in/c.out", &FLOWN["far.out"])),
+            |place| place.write("in/c.out", &FLOWN["far.out"]),
             "out/c_patches.arrow: the strip lasts from 209000",
         ),
         (
             |place| {
-                let shifted = |record: SbetRecord| SbetRecord { longitude_rad: record.longitude_rad + 1e-3, ..record };
+                let shifted =
+                    |record: SbetRecord| SbetRecord { longitude_rad: record.longitude_rad + 1e-3, ..record };
                 place.write("in/c.out", &changed("c", shifted));
             },
             "out/c_patches.arrow: at its first shot the aircraft is ",
@@ -197,9 +204,15 @@ fn unusable_patches_are_named_and_the_rest_is_aligned() {
     };
     let number: u64 = digits.parse().unwrap();
     aligned(&stated(number + 1), &format!("{FILE}: it has {number} patches instead of {}; run", number + 1));
-    aligned(&stated(number - 1), &format!("{FILE}: it has more patches than the {} that it states; run", number - 1));
+    aligned(
+        &stated(number - 1),
+        &format!("{FILE}: it has more patches than the {} that it states; run", number - 1),
+    );
     for (set, expected) in [
-        ("job.geometry.mount=[0,0,1]", "the patches were made with another `mount` than the job's; run its strip again"),
+        (
+            "job.geometry.mount=[0,0,1]",
+            "the patches were made with another `mount` than the job's; run its strip again",
+        ),
         (
             "job.geometry.calibration={lever_arm_m=[0.3,-0.2,0.4],e0=0.05}",
             "the patches were made with another `calibration` than the job's: e0 = 0.05 instead of e0 = 0.03; run its strip",
@@ -222,7 +235,10 @@ fn missing_patches_are_refused() {
     fs::create_dir(place.path("empty")).unwrap();
     let (code, err) = refused(&[&ALIGN[..], &["--patches", "empty"]].concat());
     assert_eq!(code, Some(1));
-    assert!(err.contains("empty: no patches (*_patches.arrow); run the job with the stage `write_patches`"), "{err}");
+    assert!(
+        err.contains("empty: no patches (*_patches.arrow); run the job with the stage `write_patches`"),
+        "{err}"
+    );
     place.write("survey.toml", JOB.as_bytes());
     let (code, err) = refused(&["plan", "survey.toml", "-o", "plan", "--align", "aligned"]);
     assert_eq!(code, Some(1));

@@ -12,9 +12,7 @@ use super::{INCLUDED, JOB, MOST_BYTES, REMEDY, SurveyPlan, Task};
 use crate::Failure;
 use crate::align::{AlignRequest, Aligned, TrajectoryModel, align};
 use crate::archive::{Seals, digest_of, plain};
-use wavex_engine::engine::{
-    self, Cancel, InputStatus, InputSummary, Options, ProgressMode, RunSummary,
-};
+use wavex_engine::engine::{self, Cancel, InputStatus, InputSummary, Options, ProgressMode, RunSummary};
 use wavex_engine::job::{Include, Job, JobStage, Override};
 use wavex_formats::{Error, path_within, read_small_text};
 use wavex_line::stage::{Plan, Result, StageError, SurveyModels};
@@ -99,7 +97,8 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     let aligned = plan.align.as_ref().filter(|_| archives && has_ended).zip(pattern_of_patches(&job));
     let aligned = aligned.map(|(output, pattern)| {
         let done = run.inputs.iter().filter(|input| is_done(input));
-        let patches: Vec<PathBuf> = done.map(|input| dirs[1].join(pattern.replace('*', &input.stem))).collect();
+        let patches: Vec<PathBuf> =
+            done.map(|input| dirs[1].join(pattern.replace('*', &input.stem))).collect();
         let name = plain(&job_dir.join(&plan.job)).display().to_string();
         align(&AlignRequest {
             job: &Job { name, ..job.clone() },

@@ -55,7 +55,10 @@ pub struct PlanOptions<'p> {
 pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     if options.align.is_some() && pattern_of_patches(job).is_none() {
         let remedy = "add `[[stage]]` with `type = \"write_patches\"` after `georeference`";
-        return Err(StageError::failed("an alignment needs the patches of all strips, but the job writes none", remedy));
+        return Err(StageError::failed(
+            "an alignment needs the patches of all strips, but the job writes none",
+            remedy,
+        ));
     }
     let folder = own_folder(options.folder)?;
     let dirs = [options.input_dir, options.output_dir];

@@ -114,7 +114,9 @@ impl PatchesFile {
     pub fn difference(&self, geometry: &Geometry, cell_m: f64) -> Option<String> {
         let (own, of_job) = (&self.origin, Origin::of(geometry, self.span_s, cell_m));
         if own.body_from_mount != of_job.body_from_mount {
-            return Some("the patches were made with another `mount` than the job's; run its strip again".to_owned());
+            return Some(
+                "the patches were made with another `mount` than the job's; run its strip again".to_owned(),
+            );
         }
         if own.calibration != of_job.calibration {
             return Some(format!(
@@ -125,7 +127,8 @@ impl PatchesFile {
             ));
         }
         if own.cell_m != of_job.cell_m {
-            let problem = format!("the patches have cells of {} m instead of {} m", own.cell_m, of_job.cell_m);
+            let problem =
+                format!("the patches have cells of {} m instead of {} m", own.cell_m, of_job.cell_m);
             return Some(format!("{problem}; {REMEDY}"));
         }
         if own.trajectory_digest == of_job.trajectory_digest {
@@ -180,12 +183,14 @@ impl PatchesFile {
             thinned_patches: self.counts.thinned,
             made_with: self.origin.clone(),
         };
-        let strip = serde_json::to_string(&strip).map_err(|error| ArrowError::JsonError(error.to_string()))?;
+        let strip =
+            serde_json::to_string(&strip).map_err(|error| ArrowError::JsonError(error.to_string()))?;
         let metadata = [(VERSION_KEY.to_owned(), VERSION.to_owned()), (STRIP_KEY.to_owned(), strip)];
         let field = |name: String, kind| Field::new(name, kind, false);
         let of_beams = (0..OF_BEAM.len() * 3).map(|k| field(beam_column(k), DataType::Float64));
         let small = SMALL.iter().map(|name| field((*name).to_owned(), DataType::Float32));
-        let counts = [field("n_returns".to_owned(), DataType::UInt16), field("low_power".to_owned(), DataType::UInt8)];
+        let counts =
+            [field("n_returns".to_owned(), DataType::UInt16), field("low_power".to_owned(), DataType::UInt8)];
         let fields: Vec<Field> = of_beams.chain(small).chain(counts).collect();
         let schema = Arc::new(Schema::new(fields).with_metadata(HashMap::from(metadata)));
         let options = IpcWriteOptions::default().try_with_compression(Some(CompressionType::ZSTD))?;
@@ -240,9 +245,12 @@ fn distance_m(a: Vector, b: Vector) -> f64 {
 
 /// First value of a calibration that another one does not have.
 fn first_difference(calibration: &Calibration, other: &Calibration) -> Option<String> {
-    let [own, other] = [calibration, other].map(|calibration| serde_json::to_value(calibration).unwrap_or_default());
+    let [own, other] =
+        [calibration, other].map(|calibration| serde_json::to_value(calibration).unwrap_or_default());
     let own = own.as_object()?;
-    own.iter().find(|(key, value)| other.get(key) != Some(value)).map(|(key, value)| format!("{key} = {value}"))
+    own.iter()
+        .find(|(key, value)| other.get(key) != Some(value))
+        .map(|(key, value)| format!("{key} = {value}"))
 }
 
 /// Name of a column of the beams: all values of the first beam come first.
@@ -262,14 +270,16 @@ fn small_values(patch: &Patch) -> [f32; 6] {
 
 fn columns(patches: &[Patch]) -> Vec<ArrayRef> {
     let of_beam = |k: usize| -> ArrayRef {
-        let values = patches.iter().map(|patch| beam_values(&patch.beams[k / OF_BEAM.len()])[k % OF_BEAM.len()]);
+        let values =
+            patches.iter().map(|patch| beam_values(&patch.beams[k / OF_BEAM.len()])[k % OF_BEAM.len()]);
         Arc::new(values.collect::<Float64Array>())
     };
     let small = |k: usize| -> ArrayRef {
         Arc::new(patches.iter().map(|patch| small_values(patch)[k]).collect::<Float32Array>())
     };
     let n_returns: UInt16Array = patches.iter().map(|patch| patch.n_returns).collect();
-    let low_power: UInt8Array = patches.iter().map(|patch| u8::from(patch.source.on_low_power_scale)).collect();
+    let low_power: UInt8Array =
+        patches.iter().map(|patch| u8::from(patch.source.on_low_power_scale)).collect();
     let of_beams = (0..OF_BEAM.len() * 3).map(of_beam);
     let counts: [ArrayRef; 2] = [Arc::new(n_returns), Arc::new(low_power)];
     of_beams.chain((0..SMALL.len()).map(small)).chain(counts).collect()
@@ -289,8 +299,8 @@ pub fn read_patches(path: &Path) -> Result<PatchesFile> {
         Some(other) => return Err(unusable(format!("version {other} of patches is not supported"))),
     }
     let strip = metadata.get(STRIP_KEY).map(String::as_str).unwrap_or_default();
-    let strip: StripJson =
-        serde_json::from_str(strip).map_err(|error| unusable(format!("invalid description of the strip: {error}")))?;
+    let strip: StripJson = serde_json::from_str(strip)
+        .map_err(|error| unusable(format!("invalid description of the strip: {error}")))?;
     let (span_s, n_patches) = ([strip.first_s, strip.last_s], strip.patches);
     if strip.name.is_empty() || span_s[0] > span_s[1] || strip.made_with.cell_m <= 0.0 {
         return Err(unusable("the description of the strip has no name, times or cell size".to_owned()));
@@ -354,7 +364,8 @@ fn add_patches(batch: &RecordBatch, patches: &mut Vec<Patch>) -> std::result::Re
     let low_power = column::<UInt8Type>(batch, "low_power")?;
     for row in 0..batch.num_rows() {
         let beam = |k: usize| {
-            let [time_s, x, y, z, range_m] = std::array::from_fn(|column| of_beams[k * OF_BEAM.len() + column][row]);
+            let [time_s, x, y, z, range_m] =
+                std::array::from_fn(|column| of_beams[k * OF_BEAM.len() + column][row]);
             ScannerBeam { time_s, direction: [x, y, z], range_m }
         };
         let [x, y, z, sd_m, slope_sd, roughness_m] = std::array::from_fn(|column| small[column][row]);
