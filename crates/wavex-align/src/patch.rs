@@ -1,6 +1,6 @@
 //! Patches of smooth surface from the returns of a strip.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
@@ -29,6 +29,11 @@ impl Horizon {
     /// East, north, up of a position in the earth-centred frame, m.
     pub fn local_m(&self, ecef_m: Vector) -> Vector {
         rotate(&self.local_from_ecef, difference(ecef_m, self.origin_in_ecef_m))
+    }
+
+    /// Position in the earth-centred frame of east, north, up, m.
+    fn ecef_m(&self, local_m: Vector) -> Vector {
+        sum(self.ecef_direction(local_m), self.origin_in_ecef_m)
     }
 
     /// Direction in the earth-centred frame of components east, north, up.
@@ -61,8 +66,28 @@ enum Frame {
 #[derive(Debug, Default)]
 struct Tiles {
     horizons: BTreeMap<Tile, Horizon>,
-    /// The tile used last.
-    latest: Option<(Tile, Horizon)>,
+    latest: Option<LatestTile>,
+}
+
+/// The tile used last, with its bounds.
+#[derive(Clone, Copy, Debug)]
+struct LatestTile {
+    tile: Tile,
+    horizon: Horizon,
+    /// Tangents of its latitudes.
+    latitude_tangents: [f64; 2],
+    /// Sines and cosines of its longitudes.
+    longitudes: [(f64, f64); 2],
+}
+
+impl LatestTile {
+    /// Whether a position is in the tile; saves two arc tangents.
+    fn contains(&self, [x, y, z]: Vector) -> bool {
+        let from_axis = (x * x + y * y).sqrt();
+        let [south, north] = self.latitude_tangents.map(|tangent| z - from_axis * tangent);
+        let [west, east] = self.longitudes.map(|(sine, cosine)| y * cosine - x * sine);
+        south >= 0.0 && north < 0.0 && west >= 0.0 && east < 0.0
+    }
 }
 
 impl Frame {
@@ -70,6 +95,7 @@ impl Frame {
     fn tile(&self, [x, y, z]: Vector) -> Tile {
         match self {
             Frame::One(_) => (0, 0),
+            Frame::Tiles(Tiles { latest: Some(latest), .. }) if latest.contains([x, y, z]) => latest.tile,
             Frame::Tiles(_) => {
                 let index = |angle_rad: f64| (angle_rad / TILE_RAD).floor() as i32;
                 (index(libm::atan2(z, (x * x + y * y).sqrt())), index(libm::atan2(y, x)))
@@ -82,10 +108,16 @@ impl Frame {
         match self {
             Frame::One(horizon) => *horizon,
             Frame::Tiles(tiles) => match tiles.latest {
-                Some((latest, horizon)) if latest == tile => horizon,
+                Some(latest) if latest.tile == tile => latest.horizon,
                 _ => {
                     let horizon = *tiles.horizons.entry(tile).or_insert_with(|| tile_horizon(tile));
-                    tiles.latest = Some((tile, horizon));
+                    let edges_rad = |index: i32| [index, index + 1].map(|edge| f64::from(edge) * TILE_RAD);
+                    tiles.latest = Some(LatestTile {
+                        tile,
+                        horizon,
+                        latitude_tangents: edges_rad(tile.0).map(libm::tan),
+                        longitudes: edges_rad(tile.1).map(libm::sincos),
+                    });
                     horizon
                 }
             },
@@ -210,7 +242,7 @@ pub struct PatchMaker {
     strip: u32,
     frame: Frame,
     settings: PatchSettings,
-    cells: BTreeMap<CellKey, Cell>,
+    cells: HashMap<CellKey, Cell>,
     latest_s: f64,
     since_sweep: u32,
     patches: Vec<Kept>,
@@ -231,6 +263,7 @@ struct Cell {
 #[derive(Clone, Copy, Debug)]
 struct Kept {
     patch: Patch,
+    ends_in_ecef_m: [Vector; 3],
     class: usize,
     rank: u64,
 }
@@ -251,7 +284,7 @@ impl PatchMaker {
             strip,
             frame,
             settings,
-            cells: BTreeMap::new(),
+            cells: HashMap::new(),
             latest_s: f64::NEG_INFINITY,
             since_sweep: 0,
             patches: Vec::new(),
@@ -286,23 +319,39 @@ impl PatchMaker {
             } else {
                 self.latest_s - self.settings.patience_s
             };
-            let complete = self.cells.extract_if(.., |_, cell| cell.latest_s < complete_s);
-            let complete: Vec<_> = complete.collect();
-            for (key, cell) in complete {
-                self.complete(key, &cell);
-            }
+            let complete = self.cells.extract_if(|_, cell| cell.latest_s < complete_s).collect();
+            self.complete_all(complete);
         }
     }
 
     /// Patches in the order of their times, and counts.
-    pub fn finish(mut self) -> (Vec<Patch>, PatchCounts) {
-        for (key, cell) in std::mem::take(&mut self.cells) {
+    pub fn finish(self) -> (Vec<Patch>, PatchCounts) {
+        self.finish_with(|_, patch| Some(patch.beams))
+    }
+
+    /// The same with beams made of their ends in the earth-centred frame; a patch without beams is not kept.
+    ///
+    /// Only few returns become beams of a patch: this saves to convert the others.
+    pub fn finish_with(
+        mut self,
+        mut beams_to: impl FnMut(&[Vector; 3], &Patch) -> Option<[ScannerBeam; 3]>,
+    ) -> (Vec<Patch>, PatchCounts) {
+        let cells = std::mem::take(&mut self.cells).into_iter().collect();
+        self.complete_all(cells);
+        self.thin(self.settings.most_patches);
+        self.patches.sort_by(|a, b| a.patch.beams[0].time_s.total_cmp(&b.patch.beams[0].time_s));
+        let patches = self.patches.iter().filter_map(|Kept { patch, ends_in_ecef_m, .. }| {
+            Some(Patch { beams: beams_to(ends_in_ecef_m, patch)?, ..*patch })
+        });
+        (patches.collect(), self.counts)
+    }
+
+    /// Completes cells in the order of their places.
+    fn complete_all(&mut self, mut cells: Vec<(CellKey, Cell)>) {
+        cells.sort_unstable_by_key(|(key, _)| *key);
+        for (key, cell) in cells {
             self.complete(key, &cell);
         }
-        self.thin(self.settings.most_patches);
-        let mut patches: Vec<Patch> = self.patches.into_iter().map(|kept| kept.patch).collect();
-        patches.sort_by(|a, b| a.beams[0].time_s.total_cmp(&b.beams[0].time_s));
-        (patches, self.counts)
     }
 
     fn complete(&mut self, key: CellKey, cell: &Cell) {
@@ -311,12 +360,19 @@ impl PatchMaker {
             self.counts.sparse += 1;
         } else if cell.n_multiple as f64 > self.settings.most_multiple * n as f64 {
             self.counts.multiple += 1;
-        } else if let Some((mut patch, normal)) =
+        } else if let Some((mut patch, normal, ends_m)) =
             fit(&cell.returns, &self.frame.horizon(key.0), &self.settings)
         {
             patch.strip = self.strip;
+            let horizon = self.frame.horizon(key.0);
+            let ends_in_ecef_m = ends_m.map(|end_m| horizon.ecef_m(end_m));
             let block = (key.1.div_euclid(BLOCK_CELLS), key.2.div_euclid(BLOCK_CELLS));
-            self.patches.push(Kept { patch, class: slope_class(normal), rank: block_rank(block) });
+            self.patches.push(Kept {
+                patch,
+                ends_in_ecef_m,
+                class: slope_class(normal),
+                rank: block_rank(block),
+            });
             if self.patches.len() > 2 * self.settings.most_patches {
                 self.thin(self.settings.most_patches);
             }
@@ -425,8 +481,12 @@ impl Plane {
     }
 }
 
-/// Patch of the returns of a cell, with its normal (east, north, up); `None` if they are not planar.
-fn fit(returns: &[PatchReturn], horizon: &Horizon, settings: &PatchSettings) -> Option<(Patch, Vector)> {
+/// Patch of the returns of a cell, with its normal and the ends of its beams (east, north, up); `None` if they are not planar.
+fn fit(
+    returns: &[PatchReturn],
+    horizon: &Horizon,
+    settings: &PatchSettings,
+) -> Option<(Patch, Vector, [Vector; 3])> {
     let mut used: Vec<(Vector, &PatchReturn)> =
         returns.iter().map(|given| (horizon.local_m(given.point_in_ecef_m), given)).collect();
     let points = |used: &[(Vector, &PatchReturn)]| used.iter().map(|(point, _)| *point).collect::<Vec<_>>();
@@ -439,7 +499,7 @@ fn fit(returns: &[PatchReturn], horizon: &Horizon, settings: &PatchSettings) -> 
     if used.len() < settings.least_returns || (used.len() as f64) < 0.9 * n_all as f64 {
         return None;
     }
-    let plane = Plane::of(&points(&used))?;
+    let plane = if used.len() < n_all { Plane::of(&points(&used))? } else { plane };
     let n = used.len() as f64;
     let squares: f64 = used.iter().map(|(point, _)| plane.distance(*point).powi(2)).sum();
     let rms_m = (squares / n).sqrt();
@@ -455,7 +515,8 @@ fn fit(returns: &[PatchReturn], horizon: &Horizon, settings: &PatchSettings) -> 
     }
     // Few returns do not show their noise: the stated SDs count as a few more.
     let variance = (squares + PRIOR_RETURNS * noise) / (n - 3.0 + PRIOR_RETURNS);
-    let (patch, at) = place_beams(&used, &plane, horizon)?;
+    let (patch, ends_m) = place_beams(&used, &plane, horizon)?;
+    let at = mean(&ends_m);
     let [along, across] = plane.axes.map(|axis| dot(axis, difference(at, plane.centre)));
     let [v_along, v_across] = plane.variances;
     let plane_variance = variance / n * (1.0 + along * along / v_along + across * across / v_across);
@@ -466,14 +527,22 @@ fn fit(returns: &[PatchReturn], horizon: &Horizon, settings: &PatchSettings) -> 
         roughness_m: (rms_m * rms_m - noise).max(0.0).sqrt() as f32,
         ..patch
     };
-    Some((patch, plane.normal))
+    Some((patch, plane.normal, ends_m))
 }
 
 /// Weight of the stated range SDs in the noise of a patch, in returns.
 const PRIOR_RETURNS: f64 = 6.0;
 
-/// Patch with three beams that end on the plane, and the mean of their ends.
-fn place_beams(used: &[(Vector, &PatchReturn)], plane: &Plane, horizon: &Horizon) -> Option<(Patch, Vector)> {
+fn mean(ends: &[Vector; 3]) -> Vector {
+    scaled(sum(sum(ends[0], ends[1]), ends[2]), 1.0 / 3.0)
+}
+
+/// Patch with three beams that end on the plane, and their ends.
+fn place_beams(
+    used: &[(Vector, &PatchReturn)],
+    plane: &Plane,
+    horizon: &Horizon,
+) -> Option<(Patch, [Vector; 3])> {
     let radius_m = plane.variances.map(|variance| 1.2 * variance.sqrt());
     let mut chosen: Vec<usize> = Vec::with_capacity(3);
     for k in 0..3 {
@@ -511,8 +580,7 @@ fn place_beams(used: &[(Vector, &PatchReturn)], plane: &Plane, horizon: &Horizon
     if length(area) < least_area {
         return None;
     }
-    let mean = scaled(sum(sum(ends[0], ends[1]), ends[2]), 1.0 / 3.0);
-    Some((patch, mean))
+    Some((patch, ends))
 }
 
 #[cfg(test)]

@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::strips::{Failed, ReadStrip};
 use crate::Failure;
 use wavex_engine::engine::Input;
-use wavex_line::georef::Loader;
+use wavex_line::georef::{Geometry, Loader};
 use wavex_stages::writers::write_patches::{ENDING, PatchesFile, read_patches};
 
 /// Patches of a strip, or why there are none.
@@ -93,13 +92,22 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(files)
 }
 
-/// A strip from its file, with the trajectory of the job.
-pub(super) fn from_file(found: FoundStrip, loader: &mut Loader, cell_m: f64) -> Result<ReadStrip, Failed> {
-    let (patches, recording) = found.content.map_err(Failed::Strip)?;
-    let name = &found.name;
-    let geometry = loader.load(name, || false).map_err(|error| Failed::Strip(format!("{name}: {error}")))?;
-    if let Some(difference) = patches.difference(&geometry, cell_m) {
-        return Err(Failed::Strip(format!("{}: {difference}", found.file.display())));
+impl FoundStrip {
+    /// The patches with their recording and the trajectory of the job.
+    ///
+    /// # Errors
+    /// Why they cannot be used, with the name of the file or strip.
+    pub(super) fn open(
+        self,
+        loader: &mut Loader,
+        cell_m: f64,
+    ) -> Result<(PatchesFile, PathBuf, Arc<Geometry>), String> {
+        let (patches, recording) = self.content?;
+        let geometry =
+            loader.load(&self.name, || false).map_err(|error| format!("{}: {error}", self.name))?;
+        match patches.difference(&geometry, cell_m) {
+            Some(difference) => Err(format!("{}: {difference}", self.file.display())),
+            None => Ok((patches, recording, Arc::new(geometry))),
+        }
     }
-    ReadStrip::new(patches, &recording, Arc::new(geometry))
 }

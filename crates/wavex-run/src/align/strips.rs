@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::patch_files::{find, from_file};
+use super::patch_files::find;
 use crate::Failure;
 use wavex_align::adjust::AlignSettings;
 use wavex_align::patch::{Horizon, Patch, PatchCounts, PatchSettings};
@@ -108,7 +108,9 @@ pub(super) fn collect(
         // Recordings need not be there, but they give the order of the strips.
         for found in find(files, &inputs.unwrap_or_default())? {
             let name = found.name.clone();
-            survey.take(name, from_file(found, &mut loader, settings.cell_m))?;
+            let opened = found.open(&mut loader, settings.cell_m).map_err(Failed::Strip);
+            let read = opened.and_then(|(patches, path, geometry)| ReadStrip::new(patches, &path, geometry));
+            survey.take(name, read)?;
         }
     }
     match survey.strips.len() {
@@ -135,13 +137,13 @@ fn start(scanner: &Scanner, geometry: &Geometry) -> Scanner {
 }
 
 /// Scope of a failure.
-pub(super) enum Failed {
+enum Failed {
     Strip(String),
     All(Failure),
 }
 
 /// A strip with its patches.
-pub(super) struct ReadStrip {
+struct ReadStrip {
     strip: SurveyStrip,
     patches: Vec<Patch>,
     geometry: Arc<Geometry>,
@@ -152,7 +154,7 @@ impl ReadStrip {
     ///
     /// # Errors
     /// Without patches.
-    pub(super) fn new(
+    fn new(
         patches: PatchesFile,
         recording: &Path,
         geometry: Arc<Geometry>,

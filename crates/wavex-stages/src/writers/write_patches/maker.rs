@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use wavex_align::patch::{Patch, PatchCounts, PatchMaker, PatchReturn, PatchSettings};
-use wavex_align::scanner::{BeamSource, Scanner};
+use wavex_align::scanner::{BeamSource, Scanner, ScannerBeam};
 use wavex_geodesy::frames::{Vector, inverse, rotate};
 use wavex_geodesy::time_axis::Clock;
 use wavex_line::georef::Geometry;
@@ -73,7 +73,6 @@ impl StripMaker {
                 "give the recording of the instrument, and `trajectory` in `[job.geometry]`",
             ));
         };
-        let Some(mut poses) = self.geometry.poses(alignment) else { return Ok(()) };
         let first_s = alignment.on_trajectory(first.gps_time_s);
         let found = self.found.get_or_insert_with(|| Found {
             maker: PatchMaker::on_tiles(self.settings),
@@ -87,35 +86,21 @@ impl StripMaker {
         }
         found.n_shots += line.emissions.len() as u64;
         let Content::Points(returns, _) = &line.content else { return Ok(()) };
-        let mut pose_of_shot = None;
         for given in returns.iter().filter(|given| !given.withheld) {
             let Some(emission) = line.emissions.get(given.emission as usize) else { continue };
-            let pose = match pose_of_shot {
-                Some((shot, pose)) if shot == given.emission => pose,
-                _ => {
-                    let Some(pose) = poses.at(emission.gps_time_s) else { continue };
-                    let body_from_ecef = inverse(&pose.ecef_from_body);
-                    pose_of_shot.insert((given.emission, (pose.origin_in_ecef_m, body_from_ecef))).1
-                }
-            };
-            let (nav_m, body_from_ecef): (Vector, _) = pose;
             let point_in_ecef_m: Vector = std::array::from_fn(|axis| {
                 emission.origin_m[axis] + given.range_m * emission.direction[axis]
             });
-            let from_nav_m: Vector = std::array::from_fn(|axis| point_in_ecef_m[axis] - nav_m[axis]);
-            let length_m = from_nav_m.iter().map(|part| part * part).sum::<f64>().sqrt();
-            // Counted from the origin of the scanner, whatever the recording counts from.
             let on_low_power_scale = is_on_low_power_scale(given.channel, line.fusion.is_some());
             let time_s = alignment.on_trajectory(emission.gps_time_s);
-            let in_body_m = rotate(&body_from_ecef, from_nav_m);
-            let Some(beam) = self.scanner.beam_to(time_s, in_body_m, on_low_power_scale) else { continue };
             found.maker.add(&PatchReturn {
-                beam,
+                // `finish` makes beams of the ends.
+                beam: ScannerBeam { time_s, ..ScannerBeam::default() },
                 source: BeamSource { origin_m: [0.0; 3], on_low_power_scale },
                 range_sd_m: given.range_sd_m,
                 n_returns: given.number_of_returns,
                 point_in_ecef_m,
-                direction_in_ecef: from_nav_m.map(|part| part / length_m),
+                direction_in_ecef: emission.direction,
             });
         }
         Ok(())
@@ -124,8 +109,23 @@ impl StripMaker {
     /// The strip; `None` if no shot has a pose.
     pub fn finish(self) -> Option<StripPatches> {
         let Found { maker, clock, span_s, n_shots } = self.found?;
-        let (patches, counts) = maker.finish();
-        let (geometry, cell_m) = (self.geometry, self.settings.cell_m);
+        let (scanner, geometry, cell_m) = (self.scanner, self.geometry, self.settings.cell_m);
+        let (_, trajectory) = geometry.trajectory()?;
+        let mut poses = trajectory.poses();
+        let (patches, counts) = maker.finish_with(|ends_m, patch| {
+            let mut beams = patch.beams;
+            for (beam, end_m) in beams.iter_mut().zip(ends_m) {
+                let time_s = beam.time_s + scanner.calibration.time_offset_s;
+                let pose = poses.at(time_s)?;
+                let corrections = geometry.corrections();
+                let pose = corrections.map_or(pose, |corrections| corrections.at(time_s).applied_to(&pose));
+                let from_nav_m = std::array::from_fn(|axis| end_m[axis] - pose.origin_in_ecef_m[axis]);
+                // Counted from the origin of the scanner, whatever the recording counts from.
+                let in_body_m = rotate(&inverse(&pose.ecef_from_body), from_nav_m);
+                *beam = scanner.beam_to(beam.time_s, in_body_m, patch.source.on_low_power_scale)?;
+            }
+            Some(beams)
+        });
         Some(StripPatches { geometry, cell_m, clock, span_s, n_shots, counts, patches })
     }
 }
