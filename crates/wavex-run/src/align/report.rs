@@ -5,14 +5,14 @@ use std::path::Path;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, TrajectoryModel, words};
 use crate::archive::size_and_digest_of;
-use wavex_align::estimable::{FlightFacts, Treatment, Verdict, reasons};
+use wavex_align::estimable::{FlightFacts, Treatment, reasons};
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult, StripResult};
 use wavex_engine::build;
 use wavex_geodesy::trajectory::corrections::CorrectionKnot;
 use wavex_line::georef::keys::CalibrationKey;
 use wavex_pages::report::align::{
-    AlignReport, AlignVerdict, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest, Flight,
-    Knot, NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, TrajectoryForm, TrajectoryWord,
+    AlignReport, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest, Flight, Knot,
+    NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, TrajectoryForm, TrajectoryWord,
     VERSION,
 };
 
@@ -42,7 +42,7 @@ pub(super) fn report(
         commit: build::COMMIT.to_owned(),
         job: request.job.name.clone(),
         trajectory_model: model(request.trajectory),
-        verdict: verdict(result.verdict),
+        verdict: result.verdict.into(),
         problems: words::causes(result),
         remedy: words::remedy(result.verdict).map(str::to_owned),
         warnings: warnings.to_vec(),
@@ -81,19 +81,6 @@ fn model(model: TrajectoryModel) -> TrajectoryForm {
         TrajectoryModel::Linear => TrajectoryForm::Word(TrajectoryWord::Linear),
         TrajectoryModel::Spline(step_s) => TrajectoryForm::KnotsEvery(step_s),
     }
-}
-
-fn verdict(verdict: Verdict) -> AlignVerdict {
-    match verdict {
-        Verdict::Good => AlignVerdict::Good,
-        Verdict::Doubtful => AlignVerdict::Doubtful,
-        Verdict::Bad => AlignVerdict::Bad,
-    }
-}
-
-/// Word of a verdict.
-pub(super) fn verdict_word(found: Verdict) -> &'static str {
-    verdict(found).word()
 }
 
 fn flight(facts: &FlightFacts) -> Flight {

@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use super::report::verdict_word;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, CALIBRATION_FILE, CORRECTIONS_FILE};
 use wavex_align::estimable::{
@@ -11,6 +10,7 @@ use wavex_align::estimable::{
 };
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult};
 use wavex_geodesy::calibration::Calibration;
+use wavex_pages::report::align::AlignVerdict;
 
 /// Most overlaps that are listed.
 const LISTED: usize = 12;
@@ -43,7 +43,7 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment) -> String {
         let _ = writeln!(text, "  and {more} more with smaller differences");
     }
     let _ = writeln!(text, "  all: {}", before_and_after(result.spread_m));
-    let _ = writeln!(text, "verdict: {}", verdict_word(result.verdict));
+    let _ = writeln!(text, "verdict: {}", AlignVerdict::from(result.verdict).word());
     text
 }
 
@@ -61,7 +61,7 @@ pub(super) fn problem(result: &Alignment) -> Option<String> {
     let remedy = remedy(result.verdict)?;
     Some(format!(
         "the alignment is {}: {}; {remedy}",
-        verdict_word(result.verdict),
+        AlignVerdict::from(result.verdict).word(),
         causes(result).join("; ")
     ))
 }
