@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use wavex_align::estimable::Verdict;
 
 mod control;
 mod figures;
@@ -98,6 +99,16 @@ impl AlignVerdict {
             AlignVerdict::Good => "good",
             AlignVerdict::Doubtful => "doubtful",
             AlignVerdict::Bad => "bad",
+        }
+    }
+}
+
+impl From<Verdict> for AlignVerdict {
+    fn from(verdict: Verdict) -> AlignVerdict {
+        match verdict {
+            Verdict::Good => AlignVerdict::Good,
+            Verdict::Doubtful => AlignVerdict::Doubtful,
+            Verdict::Bad => AlignVerdict::Bad,
         }
     }
 }

@@ -6,14 +6,14 @@ use super::control::Control;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, TrajectoryModel, words};
 use crate::archive::size_and_digest_of;
-use wavex_align::estimable::{FlightFacts, Treatment, Verdict, reasons};
+use wavex_align::estimable::{FlightFacts, Treatment, reasons};
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult, StripResult};
 use wavex_engine::build;
 use wavex_geodesy::trajectory::corrections::CorrectionKnot;
 use wavex_line::georef::keys::CalibrationKey;
 use wavex_pages::report::align::{
-    AlignReport, AlignVerdict, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest, Flight,
-    Knot, NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, SdFactor, TrajectoryForm,
+    AlignReport, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest, Flight, Knot,
+    NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, SdFactor, TrajectoryForm,
     TrajectorySds, TrajectoryWord, VERSION,
 };
 
@@ -44,7 +44,7 @@ pub(super) fn report(
         commit: build::COMMIT.to_owned(),
         job: request.job.name.clone(),
         trajectory_model: model(request.trajectory),
-        verdict: verdict(result.verdict),
+        verdict: result.verdict.into(),
         problems: words::causes(result),
         remedy: words::remedy(result.verdict).map(str::to_owned),
         warnings: warnings.to_vec(),
@@ -97,19 +97,6 @@ fn model(model: TrajectoryModel) -> TrajectoryForm {
         TrajectoryModel::Linear => TrajectoryForm::Word(TrajectoryWord::Linear),
         TrajectoryModel::Spline(step_s) => TrajectoryForm::KnotsEvery(step_s),
     }
-}
-
-fn verdict(verdict: Verdict) -> AlignVerdict {
-    match verdict {
-        Verdict::Good => AlignVerdict::Good,
-        Verdict::Doubtful => AlignVerdict::Doubtful,
-        Verdict::Bad => AlignVerdict::Bad,
-    }
-}
-
-/// Word of a verdict.
-pub(super) fn verdict_word(found: Verdict) -> &'static str {
-    verdict(found).word()
 }
 
 fn flight(facts: &FlightFacts) -> Flight {

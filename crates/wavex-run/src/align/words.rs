@@ -4,7 +4,6 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use super::control::Control;
-use super::report::verdict_word;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, CALIBRATION_FILE, CORRECTIONS_FILE};
 use crate::from_returns::writes_returns;
@@ -14,6 +13,7 @@ use wavex_align::estimable::{
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult};
 use wavex_engine::job::Job;
 use wavex_geodesy::calibration::Calibration;
+use wavex_pages::report::align::AlignVerdict;
 
 /// Most overlaps that are listed.
 const LISTED: usize = 12;
@@ -55,7 +55,7 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment, control: Option
         }
     }
     text += &control.map_or_else(String::new, |control| control.summary(result));
-    let _ = writeln!(text, "verdict: {}", verdict_word(result.verdict));
+    let _ = writeln!(text, "verdict: {}", AlignVerdict::from(result.verdict).word());
     text
 }
 
@@ -73,7 +73,7 @@ pub(super) fn problem(result: &Alignment) -> Option<String> {
     let remedy = remedy(result.verdict)?;
     Some(format!(
         "the alignment is {}: {}; {remedy}",
-        verdict_word(result.verdict),
+        AlignVerdict::from(result.verdict).word(),
         causes(result).join("; ")
     ))
 }

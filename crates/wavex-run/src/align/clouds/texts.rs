@@ -7,13 +7,13 @@ use serde_json::{Value, json};
 use super::CloudsRequest;
 use super::estimate::CloudAlignment;
 use super::files::Clouds;
-use crate::align::report::verdict_word;
 use crate::align::words::before_and_after;
 use wavex_align::estimable::{DOUBTFUL_REJECTED, DOUBTFUL_SCALE, Verdict};
 use wavex_align::parameters::TrajectoryModel;
 use wavex_align::result::{Alignment, OverlapResult};
 use wavex_engine::build;
 use wavex_geodesy::trajectory::corrections::CorrectionKnot;
+use wavex_pages::report::align::AlignVerdict;
 
 /// Most strips and overlaps that are listed.
 const LISTED: usize = 24;
@@ -84,7 +84,7 @@ pub(super) fn summary(clouds: &Clouds, found: &CloudAlignment) -> String {
         let _ = writeln!(text, "  and {more} more with smaller differences");
     }
     let _ = writeln!(text, "  all: {}", before_and_after(result.spread_m));
-    let _ = writeln!(text, "verdict: {}", verdict_word(result.verdict));
+    let _ = writeln!(text, "verdict: {}", AlignVerdict::from(result.verdict).word());
     text
 }
 
@@ -167,7 +167,11 @@ pub(super) fn problem(result: &Alignment) -> Option<String> {
     if result.spread_m[1] > result.spread_m[0] {
         causes.push("strips differ more than before".to_owned());
     }
-    Some(format!("the alignment is {}: {}; {remedy}", verdict_word(result.verdict), causes.join("; ")))
+    Some(format!(
+        "the alignment is {}: {}; {remedy}",
+        AlignVerdict::from(result.verdict).word(),
+        causes.join("; ")
+    ))
 }
 
 /// Table of the corrections: the same bytes for the same values.
@@ -256,7 +260,7 @@ pub(super) fn report(request: &CloudsRequest<'_>, clouds: &Clouds, found: &Cloud
             TrajectoryModel::Linear => "linear".into(),
             TrajectoryModel::Spline(step_s) => Value::from(step_s),
         },
-        "verdict": verdict_word(result.verdict),
+        "verdict": AlignVerdict::from(result.verdict).word(),
         "strips": strips.collect::<Vec<_>>(),
         "failed_strips": failures.collect::<Vec<_>>(),
         "overlaps": overlaps.collect::<Vec<_>>(),
