@@ -202,7 +202,7 @@ pub fn run_each(
     let options = &Options { survey, ..options.clone() };
     summary.survey_models = options.survey.clone();
     let pool = pool::start(options)?;
-    let stages: Arc<[_]> = job.stages.iter().map(|stage| (stage.spec.name, stage.planned.clone())).collect();
+    let stages: Arc<[_]> = job.stages.iter().map(|stage| stage.planned.in_chain(stage.spec.name)).collect();
     let run = |(number, input)| RunContext {
         number,
         chain: Arc::clone(&stages),

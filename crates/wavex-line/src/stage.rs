@@ -36,7 +36,7 @@ pub use observer::{DecomposedLine, FitShot, RunObserver, RunObservers};
 pub use output_file::partial_path;
 pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, release_all};
-pub use run_context::{Paths, RunContext, fixed_folder};
+pub use run_context::{ChainStage, Paths, RunContext, fixed_folder};
 pub use spec::{
     Config, ConfigError, Holds, Learning, Learns, MakeMap, MakeTransform, MapConfig, Plan, Planned, RoleName,
     SinkConfig, SinkPlan, SourceConfig, SourcePlan, StageSpec, TransformConfig,

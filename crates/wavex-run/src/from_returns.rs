@@ -6,7 +6,7 @@ use crate::Failure;
 use crate::run::folders;
 use wavex_engine::engine;
 use wavex_engine::job::{Job, JobStage};
-use wavex_line::stage::{Plan, Planned};
+use wavex_line::stage::{ChainStage, Plan};
 use wavex_stages::registry::STAGES;
 use wavex_stages::returns_file::Identity;
 
@@ -63,8 +63,8 @@ fn files(job: &Job, folder: &Path, writer: &JobStage) -> Result<Vec<String>, Fai
     let (input_dir, output_dir) = folders(job, folder);
     let output_dir = std::path::absolute(&output_dir).map_err(|error| failed(&error))?;
     let inputs = engine::inputs(job, &input_dir).map_err(|error| failed(&error))?;
-    let chain: Vec<(&str, Planned)> =
-        job.stages.iter().map(|stage| (stage.spec.name, stage.planned.clone())).collect();
+    let chain: Vec<ChainStage> =
+        job.stages.iter().map(|stage| stage.planned.in_chain(stage.spec.name)).collect();
     let pattern = writer.planned.plan.outputs().first().copied().unwrap_or_default().to_owned();
     let paths = inputs.iter().map(|input| output_dir.join(pattern.replace('*', &input.stem)));
     let paths: Vec<PathBuf> = paths.collect();

@@ -266,9 +266,9 @@ fn points(add: &mut Add) {
 /// Decomposed lines of a small flight in its map, and cells of two strips that overlap.
 fn surveys(add: &mut Add) {
     let place = TestFolder::new();
-    let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 20\nhigh_power = true\n\
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 60\nhigh_power = true\n\
                [[stage]]\ntype = 'fuse_channels'\ngain_ratio = 0.1\ndelay_ns = 0.0\n\
-               [[stage]]\ntype = 'calibrate'\nwaveforms = 80\nresponse = 'gaussian'\n\
+               [[stage]]\ntype = 'calibrate'\nwaveforms = 200\nresponse = 'gaussian'\n\
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_returns'\n";
     assert_eq!(place.run(job), Outcome::success());
     add("returns", "flight", fs::read(place.path("out/a_decomposed.arrow")).unwrap());

@@ -191,7 +191,7 @@ fn work(
     match (&stage.planned.plan, inlet) {
         (Plan::Source(plan), None) => {
             let posed = PoseSource::new(plan.make(run_context)?, Arc::clone(&run_context.geometry));
-            let keeps_recorded = run_context.chain.iter().any(|(_, stage)| stage.plan.needs_recorded());
+            let keeps_recorded = run_context.chain.iter().any(|stage| stage.needs_recorded);
             run_source(Box::new(posed.keeping_recorded(keeps_recorded)), worker)
         }
         (Plan::Map(plan), Some(mut inlet)) => run_map(plan.make(run_context)?, &mut inlet, worker),

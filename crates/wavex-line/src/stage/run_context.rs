@@ -7,10 +7,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use wavex_signal::calibrate::CalibrationProgress;
 use wavex_simd::SimdLevel;
 
-use super::{OutputFile, Planned, Result, SurveyModels};
+use super::{OutputFile, Result, SurveyModels};
 use crate::georef::Geometry;
 use crate::keys::InvalidKey;
 
@@ -39,7 +40,7 @@ pub struct RunContext {
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: Arc<Geometry>,
     /// Types and keys of all stages of the job; none outside of a run.
-    pub chain: Arc<[(&'static str, Planned)]>,
+    pub chain: Arc<[ChainStage]>,
     /// Sensor models of the survey; `None`: the recording has its own.
     pub survey: Option<Arc<SurveyModels>>,
     /// Fraction of the input read, ppm, for the progress display.
@@ -50,6 +51,27 @@ pub struct RunContext {
     pub calibration: Arc<CalibrationProgress>,
     /// Whether stages write files; if not, their lines are only observed.
     pub has_outputs: bool,
+}
+
+/// A stage of the job of a run, as far as other stages need it.
+#[derive(Clone, Debug)]
+pub struct ChainStage {
+    /// Name of its type in a job.
+    pub name: &'static str,
+    /// Whether it is the source.
+    pub is_source: bool,
+    /// Whether it only writes lines.
+    pub is_sink: bool,
+    /// Whether lines must keep their shots as recorded.
+    pub needs_recorded: bool,
+    /// Its keys with all defaults.
+    pub keys: Value,
+    /// Its input files: texts among the keys.
+    pub inputs: Vec<String>,
+    /// Patterns of the files that it writes.
+    pub outputs: Vec<String>,
+    /// Keys that concern only this machine.
+    pub local_keys: &'static [&'static str],
 }
 
 impl RunContext {

@@ -7,7 +7,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Context, InstrumentModel, Map, Paths, Result, RunContext, Sink, Source, Transform};
+use super::{ChainStage, Context, InstrumentModel, Map, Paths, Result, RunContext, Sink, Source, Transform};
 use crate::keys::{InvalidKey, Keys};
 use crate::scan_line::{Kind, ScanLine};
 
@@ -335,6 +335,20 @@ pub trait SinkPlan: Send + Sync {
 }
 
 impl Planned {
+    /// The stage as other stages of its run see it; `name` is that of its type.
+    pub fn in_chain(&self, name: &'static str) -> ChainStage {
+        ChainStage {
+            name,
+            is_source: matches!(self.plan, Plan::Source(_)),
+            is_sink: matches!(self.plan, Plan::Sink(_)),
+            needs_recorded: self.plan.needs_recorded(),
+            keys: self.resolved.clone(),
+            inputs: self.inputs.clone(),
+            outputs: self.plan.outputs().into_iter().map(str::to_owned).collect(),
+            local_keys: self.local_keys,
+        }
+    }
+
     /// A stage without keys.
     pub fn without_keys(plan: Plan) -> Planned {
         let resolved = serde_json::Value::Object(serde_json::Map::new());

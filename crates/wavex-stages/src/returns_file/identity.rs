@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 
 use wavex_formats::{CompanionIndex, Error, regular_file};
-use wavex_line::stage::{Plan, Planned, Result, StageError};
+use wavex_line::stage::{ChainStage, Result, StageError};
 
 /// Name of the stage that writes returns files.
 const WRITER: &str = "write_returns";
@@ -32,7 +32,7 @@ impl Identity {
     ///
     /// # Errors
     /// A file that the stages read cannot be read.
-    pub fn of(chain: &[(&str, Planned)], recording: &Path, input_dir: &Path) -> Result<Identity> {
+    pub fn of(chain: &[ChainStage], recording: &Path, input_dir: &Path) -> Result<Identity> {
         let has_file = recording.is_file();
         Ok(Identity {
             wavex: env!("CARGO_PKG_VERSION").to_owned(),
@@ -85,38 +85,32 @@ impl Identity {
 ///
 /// # Errors
 /// `write_returns` is missing, or does not follow `decompose`; a file cannot be read.
-pub fn settings_before(chain: &[(&str, Planned)], input_dir: &Path) -> Result<Value> {
-    let end = chain.iter().position(|(name, _)| *name == WRITER);
+pub fn settings_before(chain: &[ChainStage], input_dir: &Path) -> Result<Value> {
+    let end = chain.iter().position(|stage| stage.name == WRITER);
     let Some(end) = end else {
         let remedy = "add it after `decompose`";
         return Err(StageError::failed("the job has no stage `write_returns`", remedy));
     };
-    let is_sink = |planned: &Planned| matches!(planned.plan, Plan::Sink(_));
-    let before: Vec<_> = chain[..end].iter().filter(|(_, planned)| !is_sink(planned)).collect();
-    if before.last().is_none_or(|(name, _)| *name != "decompose") {
+    let before: Vec<_> = chain[..end].iter().filter(|stage| !stage.is_sink).collect();
+    if before.last().is_none_or(|stage| stage.name != "decompose") {
         return Err(StageError::failed(
             "`write_returns` does not follow `decompose`: stages between them depend on the trajectory",
             "move it up, after `decompose`",
         ));
     }
-    before
-        .into_iter()
-        .map(|(name, planned)| Ok(json!({"type": name, "keys": keys(planned, input_dir)?})))
-        .collect()
+    before.into_iter().map(|stage| Ok(json!({"type": stage.name, "keys": keys(stage, input_dir)?}))).collect()
 }
 
 /// Keys of a stage that its results depend on.
-fn keys(planned: &Planned, input_dir: &Path) -> Result<Value> {
+fn keys(stage: &ChainStage, input_dir: &Path) -> Result<Value> {
     let mut digests = Vec::new();
-    for text in &planned.inputs {
+    for text in &stage.inputs {
         digests.push((text.clone(), format!("blake3:{}", whole_digest(&input_dir.join(text))?)));
     }
-    let outputs = planned.plan.outputs();
-    let mut keys = planned.resolved.as_object().cloned().unwrap_or_default();
-    let is_source = matches!(planned.plan, Plan::Source(_));
+    let mut keys = stage.keys.as_object().cloned().unwrap_or_default();
     keys.retain(|name, value| {
-        let is_output = value.as_str().is_some_and(|text| outputs.contains(&text));
-        let is_here = planned.local_keys.contains(&name.as_str()) || (is_source && name == "path");
+        let is_output = value.as_str().is_some_and(|text| stage.outputs.iter().any(|output| output == text));
+        let is_here = stage.local_keys.contains(&name.as_str()) || (stage.is_source && name == "path");
         !(is_output || is_here || value.is_null())
     });
     let mut keys = Value::Object(keys);
