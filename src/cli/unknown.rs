@@ -98,7 +98,12 @@ pub(super) fn explain_argument(problem: &mut clap::Error, arguments: &[OsString]
     let words: Vec<String> = arguments.iter().skip(1).map(|word| word.to_string_lossy().into()).collect();
     let command = words.iter().find(|word| !word.starts_with('-'));
     // clap suggests arguments of similar spelling.
-    let better = set_tip(&words).or_else(|| command.and_then(|command| shot_tip(command, argument)));
+    let better = set_tip(&words).or_else(|| {
+        let command = command?;
+        // Its letters are nearly those of `--from-returns`.
+        let dry_run = (argument == "--dry-run").then(|| tip(command, argument)).flatten();
+        shot_tip(command, argument).or(dry_run)
+    });
     if better.is_none() && problem.get(ContextKind::SuggestedArg).is_some() {
         return;
     }

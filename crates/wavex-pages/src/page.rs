@@ -167,10 +167,12 @@ pub(crate) fn wide_table(title: &str, heads: &[&str], rows: impl Iterator<Item =
     html! {
         div.scroll tabindex="0" role="region" aria-label=(title) {
             table.wide {
-                thead { tr { @for (column, head) in heads.iter().enumerate() { th.text[has_text(column)] scope="col" { (head) } } } }
+                thead { tr { @for (column, head) in heads.iter().enumerate() {
+                    @if has_text(column) { th.text scope="col" { (head) } } @else { th scope="col" { (head) } }
+                } } }
                 tbody {
                     @for row in &rows {
-                        tr { @for cell in row { td.text[is_text(cell)] { (cell) } } }
+                        tr { @for cell in row { @if is_text(cell) { td.text { (cell) } } @else { td { (cell) } } } }
                     }
                 }
             }
