@@ -9,7 +9,7 @@ use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use wavex::align::{AlignConstraints, AlignRequest, Aligned, TrajectoryModel};
+use wavex::align::{AlignConstraints, AlignRequest, Aligned, OptionalParameter, TrajectoryModel};
 use wavex::engine::{Cancel, ProgressMode};
 use wavex::report::align::{
     AlignReport, AlignedParameter, AlignedStrip, Knot, Overlap, ParameterTreatment, residual_batches,
@@ -39,6 +39,16 @@ pub struct Alignment {
 /// trajectory : str or float, optional
 ///     Corrections of each strip's trajectory: ``"none"``, ``"constant"``, ``"linear"``, or the distance of
 ///     knots in seconds.
+/// control : str or os.PathLike, optional
+///     CSV file of control points, as ``--control`` reads it.
+/// control_crs : str, optional
+///     Coordinate reference system of the control points; that of the job by default.
+/// reference : list of str, optional
+///     Names of strips whose trajectories are not corrected.
+/// estimate : list of str, optional
+///     Parameters to estimate that are otherwise given: ``"e1"`` to ``"e4"``.
+/// patches : list of str or os.PathLike, optional
+///     Files of ``write_patches``, or folders with them, in place of the recordings.
 /// set : dict, optional
 ///     Overrides of keys of a job file.
 ///
@@ -53,15 +63,31 @@ pub struct Alignment {
 /// RunError
 ///     If the strips cannot be aligned, or the alignment is bad; report and page of a bad one are written.
 #[pyfunction]
-#[pyo3(signature = (job, output, *, trajectory=None, set=None))]
+#[pyo3(signature = (
+    job, output, *, trajectory=None, control=None, control_crs=None, reference=None, estimate=None, patches=None, set=None
+))]
+#[expect(clippy::too_many_arguments, reason = "keywords of Python")]
 pub fn align(
     py: Python<'_>,
     job: &Bound<'_, PyAny>,
     output: PathBuf,
     trajectory: Option<&Bound<'_, PyAny>>,
+    control: Option<PathBuf>,
+    control_crs: Option<String>,
+    reference: Option<Vec<String>>,
+    estimate: Option<Vec<String>>,
+    patches: Option<Vec<PathBuf>>,
     set: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Alignment> {
     let (parsed, folder) = job_of(py, job, set)?;
+    let estimate = estimate.unwrap_or_default();
+    let constraints = AlignConstraints {
+        control,
+        control_crs,
+        references: reference.unwrap_or_default(),
+        estimate: estimate.iter().map(|name| optional(name)).collect::<PyResult<_>>()?,
+    };
+    let patches = patches.unwrap_or_default();
     let trajectory = match trajectory {
         Some(given) => model(&given.str()?.to_string())?,
         None => TrajectoryModel::Constant,
@@ -77,8 +103,8 @@ pub fn align(
                 folder: &folder,
                 output: &output,
                 trajectory,
-                constraints: AlignConstraints::default(),
-                patches: &[],
+                constraints: constraints.clone(),
+                patches: &patches,
                 progress: ProgressMode::Hidden,
                 cancel: cancel.clone(),
             })
@@ -89,6 +115,15 @@ pub fn align(
         Some(failure) => Err(errors::of_command(failure)),
         None => Ok(Alignment { done }),
     }
+}
+
+fn optional(name: &str) -> PyResult<OptionalParameter> {
+    OptionalParameter::of_name(name).ok_or_else(|| {
+        errors::job(
+            format!("`estimate` has no parameter {name}"),
+            "give e1, e2, e3 or e4; e0 and e7 are estimated anyway".to_owned(),
+        )
+    })
 }
 
 fn model(text: &str) -> PyResult<TrajectoryModel> {

@@ -117,6 +117,20 @@ def test_errors_are_those_of_the_command(survey):
     assert len(kept.corrections) == 0 and "time_s" in kept.corrections
 
 
+def test_constraints_are_those_of_the_command(survey):
+    def refused(match, **constraints):
+        with pytest.raises(wavex.JobError, match=match):
+            wavex.align(survey / "survey.toml", survey / "none", **constraints)
+
+    refused("`estimate` has no parameter e0; give e1", estimate=["e0"])
+    refused("there is no strip `strip_7` for `--reference`; the strips are strip_0, strip_1", reference=["strip_7"])
+    fixed = wavex.align(survey / "survey.toml", survey / "fixed", reference=["strip_0"], estimate=["e2"])
+    treatments = dict(zip(fixed.parameters["name"], fixed.parameters["treatment"]))
+    assert treatments["e2"] != "given" and treatments["e3"] == "given"
+    offsets = fixed.corrections["down_m"][np.array(fixed.corrections["strip"]) == "strip_0"]
+    assert np.all(offsets == 0.0)
+
+
 def test_the_code_of_the_how_to_runs(survey, monkeypatch):
     pytest.importorskip("pandas", reason="SKIPPED: pandas is not installed")
     monkeypatch.chdir(survey)

@@ -352,6 +352,11 @@ def align(
     output: _Path,
     *,
     trajectory: str | float | None = None,
+    control: _Path | None = None,
+    control_crs: str | None = None,
+    reference: list[str] | None = None,
+    estimate: list[str] | None = None,
+    patches: list[_Path] | None = None,
     set: dict[str, Any] | None = None,
 ) -> Alignment: ...
 def open(path: _Path, **keys: Any) -> Recording: ...

@@ -46,8 +46,14 @@ pub struct Pair {
     pub direction: [f32; 3],
 }
 
-/// Edge of the tiles of the jackknife for surveys, m.
+/// Largest edge of the tiles of the jackknife, m.
 pub const TILE_M: f64 = 200.0;
+
+/// Edge of the tiles of the jackknife, m: 200 tiles of the largest strip, but not below the reach of errors of surface.
+pub fn tile_m(largest_strip_m2: f64) -> f64 {
+    (largest_strip_m2 / 200.0).sqrt().clamp(15.0, TILE_M)
+}
+
 /// Scan angle classes of the selection, per sine of the angle between beam and vertical.
 const SCAN_CLASSES: usize = 5;
 

@@ -10,6 +10,7 @@ use crate::run::folders;
 use strips::{SurveyStrips, collect};
 use wavex_align::adjust::{AlignSettings, Constraints, align_with as adjust};
 use wavex_align::estimable::Verdict;
+use wavex_align::matching::tile_m;
 use wavex_align::observation::Observation;
 use wavex_align::parameters::{Global, GlobalPriors};
 use wavex_align::result::Alignment;
@@ -155,6 +156,7 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
     let control = control::read(&request.constraints, &job.settings.geometry, &input_dir)?;
     check_references(request, &options)?;
     let survey = collect(job, &options, &settings, request.patches)?;
+    let settings = AlignSettings { tile_m: tile_m(survey.largest_m2(settings.cell_m)), ..settings };
     let references = references(request, &survey)?;
     let points = control.as_ref().map_or(&[][..], |control| &control.points);
     let constraints = Constraints { control: points, references: &references };

@@ -10,7 +10,7 @@ use estimate::{CloudAlignment, estimate};
 use files::{Clouds, ReadSettings};
 use wavex_align::adjust::AlignSettings;
 use wavex_align::estimable::Verdict;
-use wavex_align::matching::TILE_M;
+use wavex_align::matching::tile_m;
 use wavex_align::parameters::{TrajectoryModel, TrajectoryPriors};
 use wavex_engine::engine::Cancel;
 use wavex_formats::las::{Point, write_shifted};
@@ -106,11 +106,6 @@ pub fn align_clouds(request: &CloudsRequest<'_>) -> Result<AlignedClouds, Failur
         let found = estimate(&clouds, &settings, request.position_sd_m)?;
         finish(request, &clouds, &found)
     })
-}
-
-/// Edge of the tiles of the jackknife, m: 200 tiles of the largest strip, but not below the reach of errors of surface.
-fn tile_m(area_m2: f64) -> f64 {
-    (area_m2 / 200.0).sqrt().clamp(15.0, TILE_M)
 }
 
 /// Error if fewer than two strips are usable.

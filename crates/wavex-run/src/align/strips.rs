@@ -175,6 +175,12 @@ impl ReadStrip {
 }
 
 impl SurveyStrips {
+    /// Area of the patches of the largest strip, m².
+    pub(super) fn largest_m2(&self, cell_m: f64) -> f64 {
+        let cells = self.strips.iter().map(|strip| strip.n_patches as u64 + strip.counts.thinned).max();
+        cells.unwrap_or(0) as f64 * cell_m * cell_m
+    }
+
     /// Adds a strip, or its failure.
     fn take(
         &mut self,
