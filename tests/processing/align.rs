@@ -471,7 +471,7 @@ fn a_plain_leaves_the_lever_arm_alone() {
     let text = page_of(&place, "aligned", "good", "good");
     for part in [
         "not estimable: kept",
-        "it moves all strips alike: compare heights with control points",
+        "it moves all strips alike: give control points",
         "the overlaps are flat: fly over roofs or slopes of several aspects",
     ] {
         assert!(text.contains(part), "{part}");
