@@ -235,8 +235,8 @@ impl Alignment {
         ];
         for (offset, name) in OFFSETS.into_iter().enumerate() {
             let of = |knot: &Knot| {
-                let both = knot.north_east_down_m.into_iter().chain(knot.roll_pitch_heading_rad);
-                both.skip(offset).next()
+                let mut both = knot.north_east_down_m.into_iter().chain(knot.roll_pitch_heading_rad);
+                both.nth(offset)
             };
             columns.push((name, numbers(all.iter().map(|(_, knot)| of(knot)))));
         }
