@@ -112,11 +112,9 @@ pub(crate) fn match_control(
             let between = difference(at.centre_m(), survey.horizon.local_m(point.position_in_ecef_m));
             let normal = at.normal();
             let across_squared = (dot(between, between) - dot(normal, between).powi(2)).max(0.0);
-            // A curved surface departs from its plane by about its roughness at the centre, and more outside.
-            let half_m = 0.5 * cell_m;
-            let departure_m = f64::from(about.roughness_m) * (1.0 + across_squared / (half_m * half_m));
+            // A given normal has no noise, but the patch may differ from it by as much.
             let of_patch = f64::from(about.sd_m).powi(2)
-                + departure_m * departure_m
+                + f64::from(about.roughness_m).powi(2)
                 + across_squared * slope_sd * slope_sd;
             Some(ControlPair {
                 point: k as u32,
