@@ -170,7 +170,6 @@ fn offsets_and_drifts_of_clouds_are_recovered() {
     let outcome = succeeds(&place, &align);
     assert!(outcome.out.contains("3 strips, ") && outcome.out.contains("verdict: good"), "{}", outcome.out);
     let report = report(&place);
-    let mut squares = Vec::new();
     for end in 0..2 {
         for axis in 0..3 {
             let mean_m = errors.iter().map(|errors| errors[end][axis]).sum::<f64>() / 3.0;
@@ -178,19 +177,16 @@ fn offsets_and_drifts_of_clouds_are_recovered() {
                 let [value_m, sd_m] = knots(&report, strip)[end][axis];
                 let error_m = value_m + errors[end][axis] - mean_m;
                 println!(
-                    "strip {strip}, end {end}, axis {axis}: error {:.2} mm, SD {:.2}",
+                    "strip {strip}, end {end}, axis {axis}: {:.2} mm, SD {:.2}",
                     1e3 * error_m,
                     1e3 * sd_m
                 );
-                // Strips see hills under the same noise: SDs of horizontal offsets are a few millimetres.
-                assert!(sd_m > 0.0 && sd_m < if axis == 2 { 0.002 } else { 0.012 }, "{sd_m}");
-                assert!(error_m.abs() < 3.5 * sd_m, "{error_m} {sd_m}");
-                squares.push((error_m / sd_m).powi(2));
+                // A common drift of all strips is not determined: SDs have its part, errors about the mean do not.
+                assert!(sd_m > 0.0 && sd_m < 0.02 && error_m.abs() < 3.0 * sd_m, "{error_m} {sd_m}");
+                assert!(error_m.abs() < if axis == 2 { 0.002 } else { 0.01 }, "{error_m}");
             }
         }
     }
-    let ratio = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
-    assert!((0.4..1.5).contains(&ratio), "errors over SDs: {ratio}");
     for overlap in report["overlaps"].as_array().unwrap() {
         assert!(overlap["median_after_m"].as_f64().unwrap().abs() < 0.001, "{overlap}");
     }
@@ -213,6 +209,34 @@ fn offsets_and_drifts_of_clouds_are_recovered() {
         let bytes = |folder: &str| std::fs::read(place.path(&format!("{folder}/{name}"))).unwrap();
         assert!(bytes("aligned") == bytes("one"), "{name}");
     }
+}
+
+/// Errors of constant corrections are as large as their SDs.
+#[test]
+fn errors_of_offsets_are_as_large_as_their_sds() {
+    let errors = [[0.11, -0.07, 0.05], [-0.06, 0.04, -0.03], [0.02, 0.05, 0.04]];
+    let strip = |k: usize| Strip { seed: 70 + k as u64, errors_m: [errors[k]; 2], ..GOOD };
+    let place = clouds(&[
+        ("a.las", strip(0)),
+        ("b.las", Strip { from_to_m: [20.0, 100.0], ..strip(1) }),
+        ("c.las", Strip { from_to_m: [10.0, 90.0], ..strip(2) }),
+    ]);
+    succeeds(&place, &["align", "a.las", "b.las", "c.las", "-o", "aligned"]);
+    let report = report(&place);
+    let mut squares = Vec::new();
+    for axis in 0..3 {
+        let mean_m = errors.iter().map(|errors| errors[axis]).sum::<f64>() / 3.0;
+        for (strip, errors) in errors.iter().enumerate() {
+            let [value_m, sd_m] = knots(&report, strip)[0][axis];
+            let error_m = value_m + errors[axis] - mean_m;
+            println!("strip {strip}, axis {axis}: {:.2} mm, SD {:.2}", 1e3 * error_m, 1e3 * sd_m);
+            assert!(sd_m < if axis == 2 { 0.001 } else { 0.006 }, "{sd_m}");
+            assert!(error_m.abs() < 4.0 * sd_m, "{error_m} {sd_m}");
+            squares.push((error_m / sd_m).powi(2));
+        }
+    }
+    let ratio = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    assert!((0.2..2.0).contains(&ratio), "errors over SDs: {ratio}");
 }
 
 /// Over a plain, heights are corrected, and horizontal offsets are left alone.
