@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 
+use wavex_formats::trajectory::sbet::RECORD_BYTES;
 use wavex_testkit::flight::files;
 use wavex_testkit::{Outcome, TestFolder};
 
@@ -153,12 +154,13 @@ fn files_of_other_settings_are_refused() {
     let unfused = whole.replace("[[stage]]\ntype = 'fuse_channels'\ngain_ratio = 0.1\ndelay_ns = 0.0\n", "");
     let expected = "the stages before it were read_arrow, resolve_mta, fuse_channels, calibrate, decompose, and are read_arrow";
     refused(&unfused, &[], 1, expected);
-    // A shot at the end of the recording has no pose any more.
+    // The trajectory ends within the recording now: 1 s before it, and 5 ms of it, with 200 records per second.
     let expected =
         "has no pose with this trajectory and calibration, but had one when its line was decomposed";
-    let shift = "job.geometry.calibration={time_offset_s=0.9}";
-    let outcome = place.wavex(&["run", "survey.toml", "--from-returns", "--quiet", "--set", shift]);
-    assert!(outcome.code == Some(1) && outcome.err.contains(expected), "{}", outcome.err);
+    let trajectory = fs::read(place.path("in/a.out")).unwrap();
+    place.write("in/a.out", &trajectory[..202 * RECORD_BYTES]);
+    refused(&whole, &[], 1, expected);
+    place.write("in/a.out", &trajectory);
     // Cut off.
     let path = place.path("out/b_decomposed.arrow");
     let bytes = fs::read(&path).unwrap();
