@@ -303,8 +303,9 @@ mod tests {
                 record[4 * axis..4 * axis + 4].copy_from_slice(&raw.to_le_bytes());
             }
             record[14] = 0x11;
-            // Offsets of waveforms are those of a file: the encoder subtracts them.
-            let packets = if format == 4 { 28 } else { 30 };
+            // Times and offsets of waveforms are those of a file: the encoder subtracts them.
+            let (time, packets) = if format == 4 { (20, 28) } else { (22, 30) };
+            record[time..time + 8].copy_from_slice(&(1000.0 + 0.013 * k as f64).to_le_bytes());
             record[packets + 5..packets + 9].fill(0);
         }
         made.vlrs.push(vlr("someone", 9, b"a record"));
@@ -347,6 +348,7 @@ mod tests {
             let expected = [-100 + 11, -200 - 7, -300 + 200].map(|raw| f64::from(raw) * 0.01);
             assert_eq!(description.header.min, expected);
             // The same of compressed points, whatever their chunks; a second copy has the same bytes.
+            made.n_evlrs = 0;
             for laz in [made.laz(64), made.laz_in_two(70)] {
                 let (copy, _) = shifted(&laz, BY).unwrap();
                 assert_eq!(records(&copy).1, moved);
@@ -377,7 +379,8 @@ mod tests {
         let found: Vec<_> =
             description.vlrs.iter().map(|vlr| (vlr.user_id.as_str(), vlr.record_id)).collect();
         let gone = ("LASF_Spec", 7);
-        assert_eq!(found[found.len() - 4..], [gone, gone, ("someone", 1), gone], "{found:?}");
+        let expected = [gone, ("laszip encoded", 22204), gone, ("someone", 1), gone];
+        assert_eq!(found[found.len() - 5..], expected, "{found:?}");
         assert_eq!(description.vlrs[found.len() - 2].data, b"after the points");
     }
 
