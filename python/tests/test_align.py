@@ -43,7 +43,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, direction_deg in enumerate([0.0, 180.0]):
         keys = {
             "stem": f"strip_{number}", "scene_seed": 1, "seed": number, "lines": 60, "shots_per_line": 120,
-            "landscape": "country", "wood_ratio": 0.0, "water_ratio": 0.0, "wire_height_m": 0.0, "relief_m": 0.0,
+            "landscape": "country", "wood_ratio": 0.0, "water_ratio": 0.0, "wire_height_m": 0.0,
             "house_ratio": 0.0, "flying_height_m": 120.0, "speed_mps": 25.0, "pulse_rate_hz": 7000.0,
             "track_direction_deg": direction_deg, "track_offset_m": [-30.0 * number, 40.0 * number],
             "start_time_s": 208800.0 + 100 * number, "boresight_deg": [0.2, 0.0, 0.0], "noise_sd_dn": 0.5,
@@ -61,7 +61,7 @@ def test_an_alignment_is_tables(survey):
     parameters = found.parameters
     roll = list(parameters["name"]).index("boresight_roll_rad")
     assert parameters["treatment"][roll] == "estimated"
-    assert abs(parameters["value"][roll] - np.radians(0.2)) < 5 * parameters["sd"][roll] < 1e-4
+    assert abs(parameters["value"][roll] - np.radians(0.2)) < 5 * parameters["sd"][roll] < 1.5e-4
     down = list(parameters["name"]).index("lever_down_m")
     assert parameters["treatment"][down] == "not_estimable" and "control points" in parameters["reasons"][down]
     place = found.covariance_names.index("boresight_roll_rad")
@@ -126,7 +126,7 @@ def test_constraints_are_those_of_the_command(survey):
     refused("there is no strip `strip_7` for `--reference`; the strips are strip_0, strip_1", reference=["strip_7"])
     fixed = wavex.align(survey / "survey.toml", survey / "fixed", reference=["strip_0"], estimate=["e2"])
     treatments = dict(zip(fixed.parameters["name"], fixed.parameters["treatment"]))
-    assert treatments["e2"] != "given" and treatments["e3"] == "given"
+    assert "e2" in treatments and "e3" not in treatments
     offsets = fixed.corrections["down_m"][np.array(fixed.corrections["strip"]) == "strip_0"]
     assert np.all(offsets == 0.0)
 
