@@ -1,8 +1,8 @@
 //! Returns files: decomposed scan lines, from which a run can start (Arrow IPC).
 //!
-//! One row is a scan line, with lists of its shots, returns and profiles; [`columns`] has their fields. Shots have the
+//! One row is a scan line, with lists of its shots, returns and profiles; `columns` has their fields. Shots have the
 //! beams of the recording, before poses, so that a later run can apply other poses. A record batch has at most
-//! [`LINES_PER_BATCH`] lines. The metadata of the schema are
+//! `LINES_PER_BATCH` lines. The metadata of the schema are
 //!
 //! | key | value |
 //! |---|---|
