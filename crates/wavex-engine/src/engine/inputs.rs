@@ -37,7 +37,7 @@ pub fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Result<Vec
 
 /// Lists the inputs like [`expand`], and the problems of others.
 ///
-/// `stem` is that of a source without files, `suffix` the end of names that is no part of a stem. `parts` lists the parts of a file that are inputs of their own; none: the file is one.
+/// `stem` is that of a source without files, `suffix` the end of file names that stems do not have. `parts` lists the parts of a file that are inputs of their own; none: the file is one.
 pub(super) fn find(
     paths: Option<&Paths>,
     [stem, suffix]: [&str; 2],

@@ -49,7 +49,7 @@ pub trait SourceConfig: Config {
         "out"
     }
 
-    /// End of the names of its files that is no part of the stem of the outputs.
+    /// End of its files' names that names of outputs do not have.
     fn stem_suffix(&self) -> &'static str {
         ""
     }

@@ -30,25 +30,8 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment, control: Option
     for found in parameters.iter().filter(|found| found.treatment != Treatment::Given) {
         text += &line_of(found, &result.facts);
     }
-    let all = survey.strips.len();
-    let aligned = result.strips.iter().filter(|strip| strip.n_pairs > 0).count();
-    let n = if aligned == all { all.to_string() } else { format!("{aligned} of {all}") };
-    let _ = writeln!(
-        text,
-        "\n{n} strips, {} pairs of patches, {} rejected; differences (robust SD):",
-        result.n_pairs, result.n_rejected
-    );
-    let name = |strip: u32| survey.strips.get(strip as usize).map_or("", |strip| &strip.name);
-    let mut overlaps: Vec<&OverlapResult> = result.overlaps.iter().collect();
-    overlaps.sort_by(|a, b| b.spread_m[1].total_cmp(&a.spread_m[1]));
-    for overlap in overlaps.iter().take(LISTED) {
-        let names = overlap.strips.map(name).join(", ");
-        let _ = writeln!(text, "  {names}: {}", before_and_after(overlap.spread_m));
-    }
-    if let more @ 1.. = overlaps.len().saturating_sub(LISTED) {
-        let _ = writeln!(text, "  and {more} more with smaller differences");
-    }
-    let _ = writeln!(text, "  all: {}", before_and_after(result.spread_m));
+    let names: Vec<&str> = survey.strips.iter().map(|strip| strip.name.as_str()).collect();
+    text += &differences(&names, result);
     for (own, what) in result.trajectory_sds.iter().flatten().zip(["positions", "attitudes"]) {
         if own.is_used && !(1.0 / NOTED_FACTOR..=NOTED_FACTOR).contains(&own.factor) {
             let _ = writeln!(text, "{what} of the trajectories have {:.2} times the given SDs", own.factor);
@@ -59,8 +42,33 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment, control: Option
     text
 }
 
+/// Strips, pairs, and the overlaps that differ most.
+pub(super) fn differences(names: &[&str], result: &Alignment) -> String {
+    let mut text = String::new();
+    let all = names.len();
+    let aligned = result.strips.iter().filter(|strip| strip.n_pairs > 0).count();
+    let n = if aligned == all { all.to_string() } else { format!("{aligned} of {all}") };
+    let _ = writeln!(
+        text,
+        "\n{n} strips, {} pairs of patches, {} rejected; differences (robust SD):",
+        result.n_pairs, result.n_rejected
+    );
+    let name = |strip: u32| names.get(strip as usize).copied().unwrap_or_default();
+    let mut overlaps: Vec<&OverlapResult> = result.overlaps.iter().collect();
+    overlaps.sort_by(|a, b| b.spread_m[1].total_cmp(&a.spread_m[1]));
+    for overlap in overlaps.iter().take(LISTED) {
+        let names = overlap.strips.map(name).join(", ");
+        let _ = writeln!(text, "  {names}: {}", before_and_after(overlap.spread_m));
+    }
+    if let more @ 1.. = overlaps.len().saturating_sub(LISTED) {
+        let _ = writeln!(text, "  and {more} more with smaller differences");
+    }
+    let _ = writeln!(text, "  all: {}", before_and_after(result.spread_m));
+    text
+}
+
 /// Differences of strips; before, they may be too far apart for pairs.
-pub(super) fn before_and_after([before_m, after_m]: [f64; 2]) -> String {
+fn before_and_after([before_m, after_m]: [f64; 2]) -> String {
     let before = match before_m.is_nan() {
         true => "too far apart before".to_owned(),
         false => format!("{:.1} mm before", 1e3 * before_m),

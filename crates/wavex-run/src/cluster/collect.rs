@@ -28,7 +28,7 @@ pub struct Collected {
     pub written: Vec<PathBuf>,
     /// The archive with its seals.
     pub archive: Option<(PathBuf, Seals)>,
-    /// The alignment, or why there is none.
+    /// The alignment, or its error.
     pub aligned: Option<std::result::Result<Aligned, Failure>>,
     /// Tasks that are not complete: name and reason.
     pub problems: Vec<(String, String)>,

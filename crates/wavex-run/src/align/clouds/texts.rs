@@ -7,15 +7,15 @@ use serde_json::{Value, json};
 use super::CloudsRequest;
 use super::estimate::CloudAlignment;
 use super::files::Clouds;
-use crate::align::words::before_and_after;
+use crate::align::words::differences;
 use wavex_align::estimable::{DOUBTFUL_REJECTED, DOUBTFUL_SCALE, Verdict};
 use wavex_align::parameters::TrajectoryModel;
-use wavex_align::result::{Alignment, OverlapResult};
+use wavex_align::result::Alignment;
 use wavex_engine::build;
 use wavex_geodesy::trajectory::corrections::CorrectionKnot;
 use wavex_pages::report::align::AlignVerdict;
 
-/// Most strips and overlaps that are listed.
+/// Most strips that are listed.
 const LISTED: usize = 24;
 
 /// Knots of a strip with their SDs.
@@ -66,24 +66,8 @@ pub(super) fn summary(clouds: &Clouds, found: &CloudAlignment) -> String {
         text += "not estimable: the overlaps are flat or have slopes of one direction only; horizontal offsets need roofs or \
                  slopes of several aspects\n";
     }
-    let all = clouds.strips.len();
-    let n = if aligned.len() == all { all.to_string() } else { format!("{} of {all}", aligned.len()) };
-    let _ = writeln!(
-        text,
-        "\n{n} strips, {} pairs of patches, {} rejected; differences (robust SD):",
-        result.n_pairs, result.n_rejected
-    );
-    let name = |strip: u32| clouds.strips.get(strip as usize).map_or("", |strip| &strip.name);
-    let mut overlaps: Vec<&OverlapResult> = result.overlaps.iter().collect();
-    overlaps.sort_by(|a, b| b.spread_m[1].total_cmp(&a.spread_m[1]));
-    for overlap in overlaps.iter().take(LISTED) {
-        let names = overlap.strips.map(name).join(", ");
-        let _ = writeln!(text, "  {names}: {}", before_and_after(overlap.spread_m));
-    }
-    if let more @ 1.. = overlaps.len().saturating_sub(LISTED) {
-        let _ = writeln!(text, "  and {more} more with smaller differences");
-    }
-    let _ = writeln!(text, "  all: {}", before_and_after(result.spread_m));
+    let names: Vec<&str> = clouds.strips.iter().map(|strip| strip.name.as_str()).collect();
+    text += &differences(&names, result);
     let _ = writeln!(text, "verdict: {}", AlignVerdict::from(result.verdict).word());
     text
 }
