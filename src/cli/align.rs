@@ -30,13 +30,8 @@ pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
         job: &job,
         folder: &folder,
         output: &args.output,
-        trajectory: args.trajectory,
-        constraints: AlignConstraints {
-            control: args.control.clone(),
-            control_crs: args.control_crs.clone(),
-            references: args.reference.clone(),
-            estimate: args.estimate.clone(),
-        },
+        trajectory: args.alignment.trajectory,
+        constraints: args.alignment.constraints(),
         patches: &args.patches,
         progress: args.progress.mode(quiet, std::io::stderr().is_terminal()),
         cancel: cancel.clone(),
@@ -65,8 +60,10 @@ fn clouds(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
             "`--set` overrides keys of a job, and clouds have none; leave it out".into(),
         ));
     }
-    let constraints = [args.control.is_some(), !args.reference.is_empty(), !args.estimate.is_empty()];
-    if constraints.contains(&true) || !args.patches.is_empty() || args.from_returns {
+    if args.alignment.constraints() != AlignConstraints::default()
+        || !args.patches.is_empty()
+        || args.from_returns
+    {
         return Err(Failure::Wrong(
             "`--control`, `--reference`, `--estimate`, `--patches` and `--from-returns` are for jobs; leave them out for clouds \
              of points"
@@ -78,7 +75,7 @@ fn clouds(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
     let aligned = align_clouds(&CloudsRequest {
         inputs: &args.inputs,
         output: &args.output,
-        corrections: args.trajectory,
+        corrections: args.alignment.trajectory,
         position_sd_m: args.position_sd.unwrap_or(POSITION_SD_M),
         by_source: args.by_source,
         apply: args.apply,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use wavex_formats::trajectory::{Angles, FileTime};
-use wavex_run::align::{OptionalParameter, TrajectoryModel};
+use wavex_run::align::{AlignConstraints, OptionalParameter, TrajectoryModel};
 
 /// An archive and the locations of its files.
 #[derive(Args)]
@@ -345,6 +345,8 @@ pub(super) struct PlanArgs {
     /// Folder of the alignment of all strips that `wavex collect` makes, as `wavex align -o`; needs `write_patches`
     #[arg(long, value_name = "FOLDER")]
     pub(super) align: Option<PathBuf>,
+    #[command(flatten, next_help_heading = "Options of the alignment")]
+    pub(super) alignment: AlignmentArgs,
 }
 
 /// Plan to collect.
@@ -366,21 +368,9 @@ fn rate(text: &str) -> Result<f64, String> {
     positive.ok_or_else(|| "give a positive number".to_owned())
 }
 
-/// Survey to align.
+/// What is estimated, and what is known besides the job.
 #[derive(Args)]
-pub(super) struct AlignArgs {
-    /// Job of the survey (TOML), `-` for standard input; or clouds of points without trajectory: .las and .laz files, or
-    /// folders or patterns of them
-    #[arg(required = true, value_name = "JOB|CLOUD")]
-    pub(super) inputs: Vec<PathBuf>,
-    /// Override a key of the job for this run: STAGE is the stage's id or type, or `job`; may be
-    /// repeated
-    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
-    pub(super) set: Vec<String>,
-    /// Folder to write: report (align.json, align.html) and, of a job, calibration, corrections and residuals, of clouds,
-    /// corrections.csv; existing files are replaced
-    #[arg(short, long, value_name = "FOLDER")]
-    pub(super) output: PathBuf,
+pub(super) struct AlignmentArgs {
     /// Corrections of each strip's trajectory: none, constant, linear, or linear between knots at most this many
     /// seconds apart
     #[arg(long, value_name = "none|constant|linear|SECONDS", default_value = "constant", value_parser = str::parse::<TrajectoryModel>)]
@@ -401,6 +391,25 @@ pub(super) struct AlignArgs {
     /// cubic)
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = optional_parameter)]
     pub(super) estimate: Vec<OptionalParameter>,
+}
+
+/// Survey to align.
+#[derive(Args)]
+pub(super) struct AlignArgs {
+    /// Job of the survey (TOML), `-` for standard input; or clouds of points without trajectory: .las and .laz files, or
+    /// folders or patterns of them
+    #[arg(required = true, value_name = "JOB|CLOUD")]
+    pub(super) inputs: Vec<PathBuf>,
+    /// Override a key of the job for this run: STAGE is the stage's id or type, or `job`; may be
+    /// repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    pub(super) set: Vec<String>,
+    /// Folder to write: report (align.json, align.html) and, of a job, calibration, corrections and residuals, of clouds,
+    /// corrections.csv; existing files are replaced
+    #[arg(short, long, value_name = "FOLDER")]
+    pub(super) output: PathBuf,
+    #[command(flatten)]
+    pub(super) alignment: AlignmentArgs,
     /// Use the files *_patches.arrow of earlier runs instead of the recordings: files, or folders with them
     #[arg(long, value_name = "PATH", num_args = 1..)]
     pub(super) patches: Vec<PathBuf>,
@@ -425,6 +434,18 @@ pub(super) struct AlignArgs {
     /// When to show progress; auto: a bar on a terminal, lines elsewhere
     #[arg(long, value_name = "WHEN", default_value = "auto")]
     pub(super) progress: When,
+}
+
+impl AlignmentArgs {
+    /// What is known or asked besides the job.
+    pub(super) fn constraints(&self) -> AlignConstraints {
+        AlignConstraints {
+            control: self.control.clone(),
+            control_crs: self.control_crs.clone(),
+            references: self.reference.clone(),
+            estimate: self.estimate.clone(),
+        }
+    }
 }
 
 /// Parses the name of a parameter that is estimated only if asked.

@@ -5,7 +5,10 @@ use std::path::Path;
 
 use super::args::{CollectArgs, PlanArgs};
 use super::{Failure, align, print, terminal};
+use wavex_engine::engine::{Cancel, ProgressMode};
+use wavex_engine::job::Job;
 use wavex_line::georef::check_crs;
+use wavex_run::align::{AlignConstraints, AlignRequest, TrajectoryModel, check_early};
 use wavex_run::archive::check_destination;
 use wavex_run::cluster::{self, PlanOptions, SurveyPlan};
 
@@ -29,13 +32,14 @@ pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
     if let Some(archive) = args.archive.as_ref().filter(|archive| !archive.exists()) {
         check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
     }
+    let align = align_request(args, &job, &folder)?;
     let options = PlanOptions {
         folder: &args.output,
         job_dir: &folder,
         input_dir: &input_dir,
         output_dir: &output_dir,
         archive: args.archive.as_deref(),
-        align: args.align.as_deref(),
+        align: align.as_ref(),
         cores: args.cores.unwrap_or(match job.settings.threads {
             0 => CORES,
             threads => threads,
@@ -44,6 +48,34 @@ pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
     };
     let plan = cluster::plan(&job, &options).map_err(|error| Failure::Run(error.to_string()))?;
     if quiet { Ok(()) } else { print(&words(&plan, &args.output)) }
+}
+
+/// The alignment that `wavex collect` makes, checked as far as it can be before the tasks have run.
+fn align_request<'a>(
+    args: &'a PlanArgs,
+    job: &'a Job,
+    folder: &'a Path,
+) -> Result<Option<AlignRequest<'a>>, Failure> {
+    let (trajectory, constraints) = (args.alignment.trajectory, args.alignment.constraints());
+    let Some(output) = &args.align else {
+        if trajectory != TrajectoryModel::Constant || constraints != AlignConstraints::default() {
+            let problem = "`--trajectory`, `--control`, `--reference` and `--estimate` are for an alignment; add `--align FOLDER`";
+            return Err(Failure::Wrong(problem.to_owned()));
+        }
+        return Ok(None);
+    };
+    let request = AlignRequest {
+        job,
+        folder,
+        output,
+        trajectory,
+        constraints,
+        patches: &[],
+        progress: ProgressMode::Hidden,
+        cancel: Cancel::default(),
+    };
+    check_early(&request)?;
+    Ok(Some(request))
 }
 
 /// Describes a plan and how to run it.

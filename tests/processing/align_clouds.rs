@@ -5,6 +5,8 @@ use std::path::Path;
 use serde_json::Value;
 use wavex_testkit::{Outcome, TestFolder, data};
 
+mod systems;
+
 /// Noise of heights of the clouds, m.
 const NOISE_M: f64 = 0.008;
 /// Step of coordinates, m.
@@ -42,8 +44,10 @@ struct Strip {
     /// First time, s; `None`: no times.
     start_s: Option<f64>,
     point_source_id: u16,
-    /// EPSG code of a projected system.
+    /// EPSG code of a projected system, or of a geographic one, 4000 to 4999.
     epsg: Option<u16>,
+    /// Unit of coordinates, m.
+    unit_m: f64,
 }
 
 const GOOD: Strip = Strip {
@@ -54,6 +58,7 @@ const GOOD: Strip = Strip {
     start_s: Some(1000.0),
     point_source_id: 1,
     epsg: Some(32633),
+    unit_m: 1.0,
 };
 
 /// Length of the strips to the north, m.
@@ -83,7 +88,7 @@ fn las(strips: &[Strip]) -> Vec<u8> {
             let [first, last] = strip.errors_m;
             for (axis, true_m) in [x_m, y_m, z_m].into_iter().enumerate() {
                 let moved_m = true_m + first[axis] + part * (last[axis] - first[axis]);
-                records.extend(((moved_m / STEP_M).round() as i32).to_le_bytes());
+                records.extend(((moved_m / strip.unit_m / STEP_M).round() as i32).to_le_bytes());
             }
             // Intensity, flags (one return of one), class 2, angle, user data, source.
             records.extend([40, 0, 0b0000_1001, 2, 0, 0]);
@@ -98,7 +103,8 @@ fn las(strips: &[Strip]) -> Vec<u8> {
         vlr.extend(34735u16.to_le_bytes());
         vlr.extend(24u16.to_le_bytes());
         vlr.extend([0; 32]);
-        for word in [1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, code] {
+        let (model, key) = if (4000..5000).contains(&code) { (2, 2048) } else { (1, 3072) };
+        for word in [1, 1, 0, 2, 1024, 0, 1, model, key, 0, 1, code] {
             vlr.extend(u16::to_le_bytes(word));
         }
     }

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from checks import Checks
-from cluster_survey import DAMAGED, STRIPS, Survey, commands, wait_until
+from cluster_survey import DAMAGED, STRIPS, AlignedSurvey, Survey, commands, wait_until
 from slurm import Slurm, obstacle
 
 # Options for a cluster without accounting whose tasks take a second.
@@ -154,12 +154,29 @@ def check_array(survey, checks, expected):
     checks.equal("results of the archive", survey.results("survey"), expected[1])
 
 
+def check_slurm_align(survey, checks):
+    """Tasks write patches, and `collect` aligns them with the options of the plan: the bytes of `wavex align`."""
+    checks.subject = "Slurm, alignment"
+    options = "--trajectory 5 --estimate e2 --reference b"
+    [plan] = commands("plan")
+    plan = plan.replace("--archive archives/survey", f"--align aligned {options}")
+    checks.equal("plan", survey.start(plan).wait(), 0)
+    started = time.monotonic()
+    checks.equal("exit status", survey.run("slurm", QUICK), [0])
+    print(f"      three tasks and the alignment in {time.monotonic() - started:.1f} s")
+    survey.wavex("align", "survey.toml", "-o", "expected", *options.split())
+    for name in ["calibration.toml", "corrections.toml", "align.json", "residuals.arrow"]:
+        found, expected = [(survey.folder / folder / name).read_bytes() for folder in ["aligned", "expected"]]
+        checks.that(f"bytes of {name}", found == expected, survey.log()[-2000:])
+
+
 def main(wavex):
     checks = Checks()
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         survey = Survey(folder / "survey", wavex)
         by_input = Survey(folder / "by_input", wavex, model="input")
+        aligned = AlignedSurvey(folder / "aligned", wavex)
         checks.subject = "wavex run"
         expected = reference(survey, checks)
         with checks.of("one machine"):
@@ -173,8 +190,9 @@ def main(wavex):
                 check_slurm(survey, checks, expected, slurm)
                 check_slurm_restart(by_input, checks, slurm)
                 check_array(survey, checks, expected)
+                check_slurm_align(aligned, checks)
         if checks.failed:
-            print(survey.log()[-5000:], by_input.log()[-5000:], sep="\n")
+            print(survey.log()[-5000:], by_input.log()[-5000:], aligned.log()[-5000:], sep="\n")
     return checks.end()
 
 

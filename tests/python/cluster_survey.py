@@ -56,6 +56,58 @@ type = "write_table"
 path = "*.parquet"
 """
 
+# Strips in opposite directions and one across, over hills with houses.
+FLIGHTS = [("a", 0.0, "[0.0, 0.0]"), ("b", 180.0, "[-30.0, 80.0]"), ("c", 90.0, "[-40.0, 40.0]")]
+
+FLY = """
+[job]
+report = ""
+log = ""
+stat_log = ""
+[[stage]]
+type = "simulate"
+stem = "a"
+scene_seed = 1
+lines = 90
+shots_per_line = 120
+landscape = "country"
+wood_ratio = 0.1
+water_ratio = 0.0
+wire_height_m = 0.0
+house_ratio = 0.3
+flying_height_m = 120
+speed_mps = 25
+pulse_rate_hz = 7000
+roll_deg = 2.0
+pitch_deg = 2.0
+motion_period_s = 3.0
+boresight_deg = [0.2, -0.3, 0.4]
+sbet = "in/*.out"
+[[stage]]
+type = "write_arrow"
+path = "in/*.arrow"
+"""
+
+ALIGNED = """
+[job]
+output_dir = "out"
+[job.geometry]
+trajectory = "in/*.out"
+[[stage]]
+type = "read_arrow"
+path = "in/*.arrow"
+[[stage]]
+type = "calibrate"
+waveforms = 300
+[[stage]]
+type = "decompose"
+mode = "fastest"
+[[stage]]
+type = "georeference"
+[[stage]]
+type = "write_patches"
+"""
+
 DOCUMENT = Path(__file__).parents[2] / "docs" / "how-to" / "cluster.md"
 
 
@@ -65,29 +117,17 @@ def commands(name):
     return next(text for other, text in blocks if other == name).strip().splitlines()
 
 
-class Survey:
-    """A survey in a folder, with the programs that its commands find first."""
+class Folder:
+    """A folder with the programs that its commands find first."""
 
-    def __init__(self, folder, wavex, model="survey"):
+    def __init__(self, folder, wavex):
         self.folder = Path(folder)
         self.programs = self.folder / "bin"
         self.programs.mkdir(parents=True)
         (self.programs / "wavex").symlink_to(wavex)
-        self.write("make.toml", MAKE)
-        self.write("survey.toml", SURVEY.replace("MODEL", model))
-        for seed, strip in enumerate(STRIPS, start=1):
-            self.wavex("run", "make.toml", "--set", f"simulate.stem={strip}", "--set", f"simulate.seed={seed}")
-        self.whole = self.recording(DAMAGED).read_bytes()
-        self.recording(DAMAGED).write_bytes(self.whole[:LEFT_BYTES])
 
     def write(self, name, text):
         (self.folder / name).write_text(text, encoding="utf-8")
-
-    def recording(self, strip):
-        return self.folder / "in" / f"{strip}.arrow"
-
-    def repair(self):
-        self.recording(DAMAGED).write_bytes(self.whole)
 
     def environment(self):
         # Snakemake is next to the Python that runs this.
@@ -157,3 +197,36 @@ def wait_until(what, holds, seconds=120):
         if time.monotonic() > end:
             raise TimeoutError(f"no {what} in {seconds} s")
         time.sleep(0.2)
+
+
+class Survey(Folder):
+    """A survey of twelve strips, one of them damaged."""
+
+    def __init__(self, folder, wavex, model="survey"):
+        super().__init__(folder, wavex)
+        self.write("make.toml", MAKE)
+        self.write("survey.toml", SURVEY.replace("MODEL", model))
+        for seed, strip in enumerate(STRIPS, start=1):
+            self.wavex("run", "make.toml", "--set", f"simulate.stem={strip}", "--set", f"simulate.seed={seed}")
+        self.whole = self.recording(DAMAGED).read_bytes()
+        self.recording(DAMAGED).write_bytes(self.whole[:LEFT_BYTES])
+
+    def recording(self, strip):
+        return self.folder / "in" / f"{strip}.arrow"
+
+    def repair(self):
+        self.recording(DAMAGED).write_bytes(self.whole)
+
+
+class AlignedSurvey(Folder):
+    """Three overlapping strips with trajectories."""
+
+    def __init__(self, folder, wavex):
+        super().__init__(folder, wavex)
+        self.write("make.toml", FLY)
+        self.write("survey.toml", ALIGNED)
+        for seed, (strip, direction_deg, offset_m) in enumerate(FLIGHTS):
+            settings = {"stem": strip, "seed": seed, "track_direction_deg": direction_deg,
+                        "track_offset_m": offset_m, "start_time_s": 208_800 + 100 * seed}
+            sets = [word for key, value in settings.items() for word in ("--set", f"simulate.{key}={value}")]
+            self.wavex("run", "make.toml", *sets)

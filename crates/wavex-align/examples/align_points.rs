@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use wavex_align::adjust::{AlignSettings, Constraints, align_with};
 use wavex_align::control::ControlPoint;
 use wavex_align::parameters::{GlobalPriors, TrajectoryModel};
-use wavex_align::patch::{Horizon, Patch, PatchMaker, PatchReturn, PatchSettings};
+use wavex_align::patch::{Horizon, PatchBudget, PatchMaker, PatchReturn, PatchSettings};
 use wavex_align::result::Alignment;
 use wavex_align::scanner::{BeamSource, Scanner, ScannerBeam};
 use wavex_align::survey::{Installation, Strip, Survey};
@@ -62,7 +62,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         other => return Err(format!("unknown model `{other}`").into()),
     };
     let files = given["strips"].as_array().ok_or("`strips` is missing")?;
-    let (mut trajectories, mut strips, mut patches) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut trajectories, mut strips) = (Vec::new(), Vec::new());
+    let most_patches = given["most_patches"].as_u64().map(usize::try_from).transpose()?;
+    let mut budget = most_patches.map_or_else(PatchBudget::default, PatchBudget::new);
     let mut horizon = None;
     let mut counts = Vec::new();
     let started = Instant::now();
@@ -77,12 +79,13 @@ fn main() -> Result<(), Box<dyn Error>> {
                 maker.add(&made);
             }
         }
-        let (made, of_strip): (Vec<Patch>, _) = maker.finish();
+        let (made, of_strip) = maker.finish();
         counts.push(format!("{} patches; {of_strip:?}", made.len()));
-        patches.extend(made);
+        budget.add(made);
         strips.push(Strip { trajectory: index, installation: 0 });
         trajectories.push(trajectory);
     }
+    let (patches, kept) = budget.finish();
     let patches_s = started.elapsed().as_secs_f64();
     let survey = Survey {
         trajectories: &trajectories,
@@ -96,6 +99,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let align_s = started.elapsed().as_secs_f64();
     let mut report = report(&result);
     report["patches"] = json!(counts);
+    report["kept"] = json!(kept);
     report["seconds"] = json!([patches_s, align_s]);
     println!("{report:#}");
     Ok(())

@@ -1,7 +1,7 @@
-//! Time and memory of an alignment by number of strips: `many_strips STRIPS [SECONDS [KNOT_SECONDS [PATCHES]]]`.
+//! Time and memory of an alignment by number of strips: `many_strips STRIPS [SECONDS [KNOT_SECONDS [PATCHES [MOST]]]]`.
 //!
-//! Strips are parallel, in groups of thirty with a cross strip each, at 1000 m over hills. Patches are made
-//! directly, as if all returns had been read. Prints unknowns, pairs, seconds, peak memory (Linux), and the error of the
+//! Strips are parallel, in groups of thirty with a cross strip each, at 1000 m over hills. `PATCHES` of each strip are made
+//! directly, as if all returns had been read, and thinned to `MOST` of all strips. Prints unknowns, pairs, seconds, peak memory (Linux), and the error of the
 //! boresight. Then solves a matrix of the same form alone, as blocks and, up to 4500 unknowns, as a dense matrix.
 
 #![allow(clippy::print_stdout)]
@@ -13,7 +13,7 @@ use std::time::Instant;
 use nalgebra::DMatrix;
 use wavex_align::adjust::{AlignSettings, align};
 use wavex_align::parameters::{Global, GlobalPriors, TrajectoryModel};
-use wavex_align::patch::{Horizon, Patch};
+use wavex_align::patch::{Horizon, Patch, PatchBudget};
 use wavex_align::scanner::{BeamSource, Scanner, ScannerBeam};
 use wavex_align::sparse::BlockMatrix;
 use wavex_align::survey::{Installation, Strip, Survey};
@@ -39,7 +39,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (frame, horizon) = (LocalFrame::at(WGS84, place), Horizon::at(place));
     let length_m = seconds * SPEED_MPS;
     let mut random = Random(1);
-    let (mut trajectories, mut strips, mut patches) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut trajectories, mut strips) = (Vec::new(), Vec::new());
+    let mut budget =
+        arguments.get(4).map_or_else(PatchBudget::default, |most| PatchBudget::new(*most as usize));
+    let mut n_made = 0;
     let boresight_to_scanner = inverse(&rotation_of_angles(BORESIGHT_RAD));
     for strip in 0..n {
         let (group, line) = (strip / GROUP, strip % GROUP);
@@ -73,6 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         });
         let trajectory = Trajectory::new(samples.collect())?;
         let mut poses = trajectory.poses();
+        let mut patches: Vec<(u64, Patch)> = Vec::new();
         let cells = own_m * 2.0 * SWATH_M / (CELL_M * CELL_M);
         let part = (wanted * own_m / length_m / cells).min(1.0);
         for i in 0..(own_m / CELL_M) as usize {
@@ -104,20 +108,25 @@ fn main() -> Result<(), Box<dyn Error>> {
                     let direction = rotate(&boresight_to_scanner, body.map(|part| part / range_m));
                     ScannerBeam { time_s, direction, range_m }
                 });
-                patches.push(Patch {
-                    strip: strip as u32,
+                let patch = Patch {
+                    strip: 0,
                     n_returns: 30,
                     source: BeamSource::default(),
                     beams: corners,
                     sd_m: NOISE_M as f32,
                     slope_sd: 1e-3,
                     roughness_m: 0.0,
-                });
+                };
+                patches.push(({ rank }.bits(), patch));
             }
         }
+        patches.sort_by_key(|(rank, _)| *rank);
+        n_made += patches.len();
+        budget.add(patches.into_iter().map(|(_, patch)| patch).collect());
         strips.push(Strip { trajectory: strip, installation: 0 });
         trajectories.push(trajectory);
     }
+    let (patches, _) = budget.finish();
     let scanner = Scanner { body_from_mount: IDENTITY, calibration: Default::default() };
     let survey = Survey {
         trajectories: &trajectories,
@@ -140,7 +149,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         })
         .collect();
     println!(
-        "{n} strips, {} patches, {} pairs, {} unknowns: {elapsed_s:.1} s, {} of peak memory; errors and SDs, mdeg: {}",
+        "{n} strips, {} of {n_made} patches, {} pairs, {} unknowns: {elapsed_s:.1} s, {} of peak memory; errors and SDs, mdeg: {}",
         patches.len(),
         result.n_pairs,
         result.n_unknowns,
@@ -225,12 +234,16 @@ fn peak_memory() -> String {
 struct Random(u64);
 
 impl Random {
-    fn uniform(&mut self) -> f64 {
+    fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (z ^ (z >> 31)) as f64 / u64::MAX as f64
+        z ^ (z >> 31)
+    }
+
+    fn uniform(&mut self) -> f64 {
+        self.bits() as f64 / u64::MAX as f64
     }
 
     fn normal(&mut self) -> f64 {

@@ -1,5 +1,6 @@
 //! Parameters of an adjustment, their priors, and their places among the unknowns.
 
+use core::fmt;
 use core::str::FromStr;
 
 use wavex_geodesy::trajectory::corrections::{CorrectionKnot, PoseOffset, TrajectoryCorrections};
@@ -209,6 +210,18 @@ impl FromStr for TrajectoryModel {
                         .to_owned()
                 })
             }
+        }
+    }
+}
+
+impl fmt::Display for TrajectoryModel {
+    /// The text that is parsed as this model.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            TrajectoryModel::None => f.write_str("none"),
+            TrajectoryModel::Constant => f.write_str("constant"),
+            TrajectoryModel::Linear => f.write_str("linear"),
+            TrajectoryModel::Spline(step_s) => write!(f, "{step_s}"),
         }
     }
 }

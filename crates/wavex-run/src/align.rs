@@ -106,6 +106,16 @@ impl OptionalParameter {
         }
     }
 
+    /// Its name in a calibration.
+    pub fn name(self) -> &'static str {
+        match self {
+            OptionalParameter::E1 => "e1",
+            OptionalParameter::E2 => "e2",
+            OptionalParameter::E3 => "e3",
+            OptionalParameter::E4 => "e4",
+        }
+    }
+
     /// The parameter, and the SD of its start value: 0.1 m per km, 30 mdeg at half a radian.
     fn prior(self) -> (Global, f64) {
         match self {
@@ -182,6 +192,17 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
         None
     };
     Ok(Aligned { text, warnings, written, settings, failure, report, observations: result.observations })
+}
+
+/// Checks a request before the strips are read: job, control points, and reference strips.
+///
+/// # Errors
+/// Those of [`align`] that job and options alone show.
+pub fn check_early(request: &AlignRequest<'_>) -> Result<(), Failure> {
+    let (input_dir, output_dir) = folders(request.job, request.folder);
+    check(request, &input_dir)?;
+    control::read(&request.constraints, &request.job.settings.geometry, &input_dir)?;
+    check_references(request, &Options::of_job(request.job, &input_dir, output_dir))
 }
 
 /// Checks what the job alone shows.

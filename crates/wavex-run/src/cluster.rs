@@ -77,9 +77,9 @@ pub struct SurveyPlan {
     /// Archive to make of the whole survey.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub archive: Option<String>,
-    /// Folder of the alignment to make of the whole survey.
+    /// Alignment to make of the whole survey.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub align: Option<String>,
+    pub align: Option<PlannedAlignment>,
     /// Files that all tasks read.
     pub shared_inputs: Vec<PlannedFile>,
     /// Patterns of the files that each task writes; `*` is its name.
@@ -91,6 +91,27 @@ pub struct SurveyPlan {
     pub tasks: Vec<Task>,
     /// Resources of the task that collects the results.
     pub collect: Estimate,
+}
+
+/// Alignment of the whole survey, with the options of `wavex align`.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct PlannedAlignment {
+    /// Folder to write.
+    pub folder: String,
+    /// Corrections of trajectories: `none`, `constant`, `linear`, or the distance of knots in seconds.
+    pub trajectory: String,
+    /// File of control points.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control: Option<String>,
+    /// Coordinate reference system of the control points.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control_crs: Option<String>,
+    /// Strips whose trajectories are not corrected.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub references: Vec<String>,
+    /// Parameters that are estimated only if asked.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub estimate: Vec<String>,
 }
 
 /// Task that makes the sensor model of the survey from all inputs.

@@ -7,18 +7,20 @@ use std::sync::Arc;
 use crate::Failure;
 use wavex_engine::engine::Input;
 use wavex_line::georef::{Geometry, Loader};
-use wavex_stages::writers::write_patches::{ENDING, PatchesFile, read_patches};
+use wavex_stages::writers::write_patches::{ENDING, PatchesFile, StripName, read_patches, read_strip_name};
 
-/// Patches of a strip, or why there are none.
+/// File with the patches of a strip, or why there is none.
 pub(super) struct FoundStrip {
     /// Name of the strip; that of its file if it cannot be read.
     pub(super) name: String,
-    /// The patches, and the recording.
-    content: Result<(PatchesFile, PathBuf), String>,
+    /// The recording.
+    recording: Result<PathBuf, String>,
     file: PathBuf,
 }
 
-/// Reads the files of patches in the order of the job's inputs, then by name; inputs without a file come last.
+/// Finds the files of patches in the order of the job's inputs, then by name; inputs without a file come last.
+///
+/// Patches are read by [`FoundStrip::open`], one strip after another.
 ///
 /// # Errors
 /// A folder that cannot be listed or has no patches.
@@ -29,34 +31,19 @@ pub(super) fn find(given: &[PathBuf], inputs: &[Input]) -> Result<Vec<FoundStrip
     }
     let order: BTreeMap<&str, usize> =
         inputs.iter().enumerate().map(|(place, input)| (input.stem.as_str(), place)).collect();
-    let mut found = Vec::new();
-    let mut first_of: BTreeMap<String, PathBuf> = BTreeMap::new();
-    for file in files {
-        found.push(match read_patches(&file) {
-            Ok(patches) => {
-                let name = patches.stem.clone();
-                let content = match first_of.get(&name) {
-                    Some(other) => Err(format!(
-                        "{}: the patches of `{name}` are also in {}, which are used; remove the file that is out of date",
-                        file.display(),
-                        other.display()
-                    )),
-                    None => {
-                        first_of.insert(name.clone(), file.clone());
-                        let input = order.get(name.as_str()).and_then(|place| inputs.get(*place));
-                        let recording = input.map_or_else(|| (&patches.recording).into(), |input| input.path.clone());
-                        Ok((patches, recording))
-                    }
-                };
-                FoundStrip { name, content, file }
-            }
-            Err(error) => {
-                let name = file.file_name().unwrap_or_default().to_string_lossy();
-                let name = name.strip_suffix(ENDING).unwrap_or(&name).to_owned();
-                FoundStrip { name, content: Err(error.to_string()), file }
-            }
-        });
-    }
+    let found = files.into_iter().map(|file| match read_strip_name(&file) {
+        Ok(StripName { stem, recording }) => {
+            let input = order.get(stem.as_str()).and_then(|place| inputs.get(*place));
+            let recording = input.map_or_else(|| recording.into(), |input| input.path.clone());
+            FoundStrip { name: stem, recording: Ok(recording), file }
+        }
+        Err(error) => {
+            let name = file.file_name().unwrap_or_default().to_string_lossy();
+            let name = name.strip_suffix(ENDING).unwrap_or(&name).to_owned();
+            FoundStrip { name, recording: Err(error.to_string()), file }
+        }
+    });
+    let mut found: Vec<FoundStrip> = found.collect();
     found.sort_by_key(|strip| {
         (order.get(strip.name.as_str()).copied().unwrap_or(usize::MAX), strip.name.clone())
     });
@@ -64,7 +51,7 @@ pub(super) fn find(given: &[PathBuf], inputs: &[Input]) -> Result<Vec<FoundStrip
         inputs.iter().filter(|input| !found.iter().any(|strip| strip.name == input.stem)).collect();
     found.extend(missing.into_iter().map(|input| FoundStrip {
         name: input.stem.clone(),
-        content: Err(format!(
+        recording: Err(format!(
             "{}: none of the given files has the patches of this input; run it with `write_patches`",
             input.stem
         )),
@@ -93,20 +80,30 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
 }
 
 impl FoundStrip {
-    /// The patches with their recording and the trajectory of the job.
+    /// The patches with their recording and the trajectory of the job; adds the file to those that are `used` by strip.
     ///
     /// # Errors
     /// Why they cannot be used, with the name of the file or strip.
     pub(super) fn open(
         self,
+        used: &mut BTreeMap<String, PathBuf>,
         loader: &mut Loader,
         cell_m: f64,
     ) -> Result<(PatchesFile, PathBuf, Arc<Geometry>), String> {
-        let (patches, recording) = self.content?;
-        let geometry =
-            loader.load(&self.name, || false).map_err(|error| format!("{}: {error}", self.name))?;
+        let FoundStrip { name, recording, file } = self;
+        let recording = recording?;
+        if let Some(other) = used.get(&name) {
+            return Err(format!(
+                "{}: the patches of `{name}` are also in {}, which are used; remove the file that is out of date",
+                file.display(),
+                other.display()
+            ));
+        }
+        let patches = read_patches(&file).map_err(|error| error.to_string())?;
+        used.insert(name.clone(), file.clone());
+        let geometry = loader.load(&name, || false).map_err(|error| format!("{name}: {error}"))?;
         match patches.difference(&geometry, cell_m) {
-            Some(difference) => Err(format!("{}: {difference}", self.file.display())),
+            Some(difference) => Err(format!("{}: {difference}", file.display())),
             None => Ok((patches, recording, Arc::new(geometry))),
         }
     }

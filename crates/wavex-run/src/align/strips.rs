@@ -1,5 +1,6 @@
 //! Patches of all strips, from the chain of a job.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,7 +8,7 @@ use std::time::Duration;
 use super::patch_files::find;
 use crate::Failure;
 use wavex_align::adjust::AlignSettings;
-use wavex_align::patch::{Horizon, Patch, PatchCounts, PatchSettings};
+use wavex_align::patch::{Horizon, Patch, PatchBudget, PatchCounts, PatchSettings};
 use wavex_align::scanner::Scanner;
 use wavex_engine::engine::{self, Cause, Convert, Input, Next, Options, RunError};
 use wavex_engine::job::Job;
@@ -88,6 +89,7 @@ pub(super) fn collect(
         horizon: None,
         scanner: Scanner { body_from_mount, calibration: Default::default() },
     };
+    let mut budget = PatchBudget::default();
     if files.is_empty() {
         let inputs = inputs.map_err(|error| failed(&error))?;
         if let [only] = inputs.as_slice() {
@@ -102,17 +104,19 @@ pub(super) fn collect(
         let patches = PatchSettings { cell_m: settings.cell_m, ..PatchSettings::default() };
         for input in inputs {
             let name = input.stem.clone();
-            survey.take(name, strip_of(&job, input, &options, &mut loader, patches))?;
+            survey.take(name, strip_of(&job, input, &options, &mut loader, patches), &mut budget)?;
         }
     } else {
         // Recordings need not be there, but they give the order of the strips.
+        let mut used = BTreeMap::new();
         for found in find(files, &inputs.unwrap_or_default())? {
             let name = found.name.clone();
-            let opened = found.open(&mut loader, settings.cell_m).map_err(Failed::Strip);
+            let opened = found.open(&mut used, &mut loader, settings.cell_m).map_err(Failed::Strip);
             let read = opened.and_then(|(patches, path, geometry)| ReadStrip::new(patches, &path, geometry));
-            survey.take(name, read)?;
+            survey.take(name, read, &mut budget)?;
         }
     }
+    survey.keep(budget);
     match survey.strips.len() {
         0 | 1 => Err(too_few(&survey)),
         _ => Ok(survey),
@@ -186,17 +190,28 @@ impl SurveyStrips {
         &mut self,
         name: String,
         read: std::result::Result<ReadStrip, Failed>,
+        budget: &mut PatchBudget,
     ) -> std::result::Result<(), Failure> {
         match read {
-            Ok(read) => self.add(read),
+            Ok(read) => self.add(read, budget),
             Err(Failed::Strip(problem)) => self.failures.push(FailedStrip { name, problem }),
             Err(Failed::All(failure)) => return Err(failure),
         }
         Ok(())
     }
 
-    fn add(&mut self, read: ReadStrip) {
-        let ReadStrip { mut strip, mut patches, geometry } = read;
+    /// Takes the patches that the limit keeps.
+    fn keep(&mut self, budget: PatchBudget) {
+        let (patches, counts) = budget.finish();
+        for (strip, n_patches) in self.strips.iter_mut().zip(counts) {
+            strip.counts.thinned += (strip.n_patches - n_patches) as u64;
+            strip.n_patches = n_patches;
+        }
+        self.patches = patches;
+    }
+
+    fn add(&mut self, read: ReadStrip, budget: &mut PatchBudget) {
+        let ReadStrip { mut strip, patches, geometry } = read;
         let Some((file, trajectory)) = geometry.trajectory() else { return };
         strip.trajectory = match self.trajectory_files.iter().position(|known| known == file) {
             Some(known) => known,
@@ -211,9 +226,7 @@ impl SurveyStrips {
             let first = trajectory.samples().iter().find(|sample| sample.time_s >= strip.span_s[0]);
             self.horizon = first.map(|sample| Horizon::at(sample.place));
         }
-        let index = u32::try_from(self.strips.len()).unwrap_or(u32::MAX);
-        patches.iter_mut().for_each(|patch| patch.strip = index);
-        self.patches.extend(patches);
+        budget.add(patches);
         self.strips.push(strip);
     }
 }

@@ -8,9 +8,9 @@ use serde_json::{Value, json};
 
 use super::merge::{Merge, TaskResult};
 use super::plan::pattern_of_patches;
-use super::{INCLUDED, JOB, MOST_BYTES, REMEDY, SurveyPlan, Task};
+use super::{INCLUDED, JOB, MOST_BYTES, PLAN, PlannedAlignment, REMEDY, SurveyPlan, Task};
 use crate::Failure;
-use crate::align::{AlignConstraints, AlignRequest, Aligned, TrajectoryModel, align};
+use crate::align::{AlignConstraints, AlignRequest, Aligned, OptionalParameter, align};
 use crate::archive::{Seals, digest_of, plain};
 use wavex_engine::engine::{self, Cancel, InputStatus, InputSummary, Options, ProgressMode, RunSummary};
 use wavex_engine::job::{Include, Job, JobStage, Override};
@@ -95,17 +95,19 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     });
     let archive = archive.transpose()?;
     let aligned = plan.align.as_ref().filter(|_| archives && has_ended).zip(pattern_of_patches(&job));
-    let aligned = aligned.map(|(output, pattern)| {
+    let aligned = aligned.map(|(planned, pattern)| {
         let done = run.inputs.iter().filter(|input| is_done(input));
         let patches: Vec<PathBuf> =
             done.map(|input| dirs[1].join(pattern.replace('*', &input.stem))).collect();
         let name = plain(&job_dir.join(&plan.job)).display().to_string();
+        let wrong =
+            |problem: String| Failure::Run(format!("{PLAN}: the alignment is invalid: {problem}; {REMEDY}"));
         align(&AlignRequest {
             job: &Job { name, ..job.clone() },
             folder: &job_dir,
-            output: &plain(&root.join(output)),
-            trajectory: TrajectoryModel::Constant,
-            constraints: AlignConstraints::default(),
+            output: &plain(&root.join(&planned.folder)),
+            trajectory: planned.trajectory.parse().map_err(wrong)?,
+            constraints: constraints(planned, root).map_err(wrong)?,
             patches: &patches,
             progress: ProgressMode::Hidden,
             cancel: Cancel::default(),
@@ -113,6 +115,24 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     });
     let (table, tasks) = (report::input_table(&report), plan.tasks.len());
     Ok(Collected { table, written, archive, aligned, problems, tasks })
+}
+
+/// What is known or asked besides the job.
+fn constraints(planned: &PlannedAlignment, root: &Path) -> std::result::Result<AlignConstraints, String> {
+    let crs = planned.control_crs.as_ref().map(|crs| {
+        let file = root.join(crs);
+        if file.is_file() { plain(&file).display().to_string() } else { crs.clone() }
+    });
+    let estimate = planned
+        .estimate
+        .iter()
+        .map(|name| OptionalParameter::of_name(name).ok_or_else(|| format!("unknown parameter `{name}`")));
+    Ok(AlignConstraints {
+        control: planned.control.as_ref().map(|file| plain(&root.join(file))),
+        control_crs: crs,
+        references: planned.references.clone(),
+        estimate: estimate.collect::<std::result::Result<_, _>>()?,
+    })
 }
 
 /// The folder, or the current one if the path is empty.

@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 const BASE_MEMORY_MB: u64 = 500;
 /// Memory of a shared file such as a trajectory per byte of the file.
 const SHARED_BYTES_FACTOR: u64 = 3;
+/// Memory of an alignment with the most patches, MB; each strip beyond may add 1 MB.
+const MOST_PATCHES_MB: u64 = 1500;
 /// Factor on the expected time, for slow machines and disks.
 const TIME_MARGIN: f64 = 2.0;
 
@@ -55,14 +57,15 @@ impl Estimator {
 
     /// Resources of the task that collects the results of this many tasks.
     ///
-    /// An alignment holds the patches of all tasks, and the trajectories.
+    /// An alignment holds patches of all tasks, up to a limit, and the trajectories.
     pub(super) fn collect(&self, tasks: usize, aligns: bool) -> Estimate {
         let tasks = tasks as u64;
         let collects = Estimate { cores: 1, memory_mb: 500 + tasks / 2, minutes: 5 + tasks / 500 };
         if !aligns {
             return collects;
         }
-        let memory_mb = collects.memory_mb.saturating_add(20 * tasks).saturating_add(self.shared_mb());
+        let patches_mb = (20 * tasks).min(MOST_PATCHES_MB + tasks);
+        let memory_mb = collects.memory_mb.saturating_add(patches_mb).saturating_add(self.shared_mb());
         Estimate { memory_mb, minutes: collects.minutes + 5 + tasks / 20, ..collects }
     }
 }
@@ -82,7 +85,8 @@ mod tests {
         assert_eq!(with_trajectory.task(0), Estimate { memory_mb: 1824, ..small });
         let collected = Estimate { cores: 1, memory_mb: 5500, minutes: 25 };
         assert_eq!(with_trajectory.collect(10_000, false), collected);
-        let aligned = Estimate { memory_mb: 205_800, minutes: 530, ..collected };
+        let aligned = Estimate { memory_mb: 17_300, minutes: 530, ..collected };
         assert_eq!(with_trajectory.collect(10_000, true), aligned);
+        assert_eq!(estimator.collect(12, true).memory_mb, 500 + 6 + 240);
     }
 }

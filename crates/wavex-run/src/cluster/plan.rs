@@ -10,8 +10,10 @@ use serde_json::{Value, json};
 use super::estimate::Estimator;
 use super::tasks::{LINES, TaskWriter, in_folder};
 use super::{
-    CalibrationTask, FORMAT, INCLUDED, JOB, MODEL, PLAN, PlannedFile, REMEDY, RESOLVED, SurveyPlan, Task,
+    CalibrationTask, FORMAT, INCLUDED, JOB, MODEL, PLAN, PlannedAlignment, PlannedFile, REMEDY, RESOLVED,
+    SurveyPlan, Task,
 };
+use crate::align::AlignRequest;
 use crate::archive::{FilesRead, Resolved, common, plain, way};
 use wavex_engine::engine::{self, Input};
 use wavex_engine::job::Job;
@@ -37,12 +39,32 @@ pub struct PlanOptions<'p> {
     pub output_dir: &'p Path,
     /// Archive to make of the whole survey.
     pub archive: Option<&'p Path>,
-    /// Folder of the alignment to make of the whole survey.
-    pub align: Option<&'p Path>,
+    /// Alignment to make of the whole survey.
+    pub align: Option<&'p AlignRequest<'p>>,
     /// Cores per task.
     pub cores: usize,
     /// Throughput of one core, MB of input per second.
     pub mb_per_s: f64,
+}
+
+/// An alignment with paths relative to `root`.
+fn planned_alignment(request: &AlignRequest<'_>, folder: &Path, root: &Path) -> Result<PlannedAlignment> {
+    let constraints = &request.constraints;
+    let from_root = |path: &Path| way(root, &absolute(path)?);
+    // A file with WKT is found from any folder.
+    let crs_file = constraints.control_crs.as_ref().filter(|crs| Path::new(crs).is_file());
+    let control_crs = match crs_file {
+        Some(file) => Some(from_root(Path::new(file))?),
+        None => constraints.control_crs.clone(),
+    };
+    Ok(PlannedAlignment {
+        folder: from_root(folder)?,
+        trajectory: request.trajectory.to_string(),
+        control: constraints.control.as_deref().map(from_root).transpose()?,
+        control_crs,
+        references: constraints.references.clone(),
+        estimate: constraints.estimate.iter().map(|parameter| parameter.name().to_owned()).collect(),
+    })
 }
 
 /// Writes the plan of a job and returns it.
@@ -64,8 +86,11 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     let dirs = [options.input_dir, options.output_dir];
     let resolved = Resolved::new(job, dirs[0], dirs[1], &folder)?;
     let archive = options.archive.map(absolute).transpose()?;
-    let align = options.align.map(absolute).transpose()?;
-    let results = archive.as_deref().and_then(Path::parent).into_iter().chain(align.as_deref());
+    let align = options.align.map(|request| absolute(request.output)).transpose()?;
+    let control = options.align.and_then(|request| request.constraints.control.as_deref());
+    let control = control.map(absolute).transpose()?;
+    let results = archive.as_deref().and_then(Path::parent);
+    let results = results.into_iter().chain(align.as_deref()).chain(control.as_deref());
     let root = root(&folder, &resolved, results)?;
     let from_root = |path: &Path| way(&root, path);
     let write = |name: &str, text: &str| write_if_changed(&folder.join(name), text);
@@ -139,7 +164,11 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
         root: way(&folder, &root)?,
         plan_dir,
         archive: archive.as_deref().map(from_root).transpose()?,
-        align: align.as_deref().map(from_root).transpose()?,
+        align: options
+            .align
+            .zip(align)
+            .map(|(request, align)| planned_alignment(request, &align, &root))
+            .transpose()?,
         shared_inputs,
         output_patterns,
         calibration,

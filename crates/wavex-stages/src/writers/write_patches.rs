@@ -15,7 +15,7 @@ use wavex_line::stage::{
 mod file;
 mod maker;
 
-pub use file::{PatchesFile, read_patches};
+pub use file::{PatchesFile, StripName, read_patches, read_strip_name};
 pub use maker::{StripMaker, StripPatches};
 
 /// Registry entry of the stage.
@@ -31,7 +31,8 @@ pub const ENDING: &str = "_patches.arrow";
 /// `docs/explanation/alignment.md` describes the patches.
 ///
 /// Needs a recording with beams in the frame of the scanner, and a `trajectory`. The file is an Arrow IPC file with
-/// one row per patch, at most 60 000: three beams that end on a plane, as `time_s`, direction `x`, `y`, `z` and
+/// one row per patch, at most 60 000, in the order in which a limit keeps them (any first rows are spread over places, slopes
+/// and aspects): three beams that end on a plane, as `time_s`, direction `x`, `y`, `z` and
 /// `range_m` in the frame of the scanner without calibration, each with `_1`, `_2`, `_3`; `sd_m`, `slope_sd`,
 /// `roughness_m`, `n_returns`, and whether ranges are on the scale of the low-power receiver (`low_power`). Its
 /// metadata have the version (`wavex.patches`) and the strip (`wavex.strip`): name, times, counts, calibration,

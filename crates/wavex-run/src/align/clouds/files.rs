@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use super::frame::{Frame, system_of};
 use crate::Failure;
 use rayon::prelude::*;
-use wavex_align::patch::{BLOCK_CELLS, Patch, PatchCounts, PatchMaker, PatchSettings, block_rank};
+use wavex_align::patch::{
+    BLOCK_CELLS, Patch, PatchBudget, PatchCounts, PatchMaker, PatchSettings, block_rank,
+};
 use wavex_engine::engine::{self, Cancel};
 use wavex_formats::las::{Point, RawPoints};
 use wavex_geodesy::crs::{are_contradictory, units_of_wkt};
@@ -156,18 +158,28 @@ pub(super) fn read(files: Vec<PathBuf>, settings: ReadSettings<'_>) -> Result<Cl
         }
     }
     let frame = clouds.frame;
-    let read: Vec<_> = usable
-        .par_iter()
-        .map(|(file, scan)| (*file, scan, scan.patches(&clouds.files[*file], &frame, settings)))
-        .collect();
-    check_interruption(&settings)?;
-    for (file, scan, made) in read {
-        let path = clouds.files[file].clone();
-        match made {
-            Ok(made) => clouds.add(file, scan, made, settings),
-            Err(problem) => clouds.fail(&path, problem),
+    let mut budget = PatchBudget::default();
+    // Patches of few files at a time, to thin them before those of the next files are made.
+    for of_threads in usable.chunks(rayon::current_num_threads()) {
+        let read: Vec<_> = of_threads
+            .par_iter()
+            .map(|(file, scan)| (*file, scan, scan.patches(&clouds.files[*file], &frame, settings)))
+            .collect();
+        check_interruption(&settings)?;
+        for (file, scan, made) in read {
+            let path = clouds.files[file].clone();
+            match made {
+                Ok(made) => clouds.add(file, scan, made, settings, &mut budget),
+                Err(problem) => clouds.fail(&path, problem),
+            }
         }
     }
+    let (patches, counts) = budget.finish();
+    for (strip, n_patches) in clouds.strips.iter_mut().zip(counts) {
+        strip.counts.thinned += (strip.n_patches - n_patches) as u64;
+        strip.n_patches = n_patches;
+    }
+    clouds.patches = patches;
     Ok(clouds)
 }
 
@@ -188,7 +200,14 @@ impl Clouds {
         self.failures.push(FailedCloud { name: stem(path), problem });
     }
 
-    fn add(&mut self, file: usize, scan: &Scan, made: Vec<Made>, settings: ReadSettings<'_>) {
+    fn add(
+        &mut self,
+        file: usize,
+        scan: &Scan,
+        made: Vec<Made>,
+        settings: ReadSettings<'_>,
+        budget: &mut PatchBudget,
+    ) {
         let path = self.files[file].clone();
         let has_several = scan.strips.len() > 1;
         let mut without_time = Vec::new();
@@ -212,11 +231,9 @@ impl Clouds {
                 continue;
             }
             self.area_m2 = self.area_m2.max(found.edges_m().into_iter().product());
-            let index = self.strips.len() as u32;
             if settings.needs_time && found.span_s().is_none() {
                 without_time.push(name.clone());
             }
-            self.patches.extend(patches.iter().map(|patch| Patch { strip: index, ..*patch }));
             self.strips.push(CloudStrip {
                 name,
                 file,
@@ -227,6 +244,7 @@ impl Clouds {
                 n_patches: patches.len(),
                 counts,
             });
+            budget.add(patches);
         }
         if !without_time.is_empty() {
             self.notes.push(format!(
@@ -394,6 +412,9 @@ impl Scan {
     fn patches(&self, path: &Path, frame: &Frame, settings: ReadSettings<'_>) -> Result<Vec<Made>, String> {
         let failed = |error: wavex_formats::Error| error.to_string();
         let given = PatchSettings { cell_m: settings.cell_m, ..PatchSettings::default() };
+        // The makers of a file hold up to twice their limits together.
+        let most_patches = given.most_patches.min(PatchBudget::most_of(self.strips.len()));
+        let given = PatchSettings { most_patches, ..given };
         let mut makers: BTreeMap<u16, (PatchMaker, &FoundStrip, u64)> = BTreeMap::new();
         for (key, found) in &self.strips {
             // Cells are held until the end unless points are in the order of time.

@@ -1,6 +1,6 @@
 //! File of a strip's patches (`*_patches.arrow`): Arrow IPC, so other programs can read it.
 //!
-//! One row per patch, in the order of their times, in record batches of at most [`ROWS_PER_BATCH`]. The schema's
+//! One row per patch, in the order of keeping, in record batches of at most [`ROWS_PER_BATCH`]. The schema's
 //! metadata have the version (`wavex.patches`) and the strip as JSON (`wavex.strip`).
 
 use std::collections::HashMap;
@@ -29,7 +29,7 @@ use wavex_line::georef::corrections::CorrectionsTime;
 use wavex_line::stage::OutputFile;
 
 /// Version of the layout, and of the rules by which patches are made.
-const VERSION: &str = "1";
+const VERSION: &str = "2";
 const VERSION_KEY: &str = "wavex.patches";
 const STRIP_KEY: &str = "wavex.strip";
 const ROWS_PER_BATCH: usize = 1 << 14;
@@ -57,7 +57,7 @@ pub struct PatchesFile {
     pub n_shots: u64,
     /// Cells without a patch.
     pub counts: PatchCounts,
-    /// Patches of strip 0.
+    /// Patches of strip 0, in the order of keeping.
     pub patches: Vec<Patch>,
     origin: Origin,
 }
@@ -285,13 +285,28 @@ fn columns(patches: &[Patch]) -> Vec<ArrayRef> {
     of_beams.chain((0..SMALL.len()).map(small)).chain(counts).collect()
 }
 
-/// Reads the patches of a strip.
+/// Name of a strip in a file of patches.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StripName {
+    /// Stem of the recording.
+    pub stem: String,
+    /// File name of the recording.
+    pub recording: String,
+}
+
+/// Reads the name of a strip without its patches.
 ///
 /// # Errors
-/// A file that cannot be read, is damaged, or is not the patches of a strip in this version.
-pub fn read_patches(path: &Path) -> Result<PatchesFile> {
+/// As [`read_patches`], unless it is the patches that are damaged.
+pub fn read_strip_name(path: &Path) -> Result<StripName> {
+    let (_, strip) = open(path)?;
+    Ok(StripName { stem: strip.name, recording: strip.recording })
+}
+
+/// Opens a file, with its checked description.
+fn open(path: &Path) -> Result<(TableReader, StripJson)> {
     let unusable = |problem: String| Error::unusable(path, problem, REMEDY);
-    let mut table = TableReader::open(path)?;
+    let table = TableReader::open(path)?;
     let metadata = table.schema().metadata();
     match metadata.get(VERSION_KEY).map(String::as_str) {
         Some(VERSION) => {}
@@ -301,13 +316,23 @@ pub fn read_patches(path: &Path) -> Result<PatchesFile> {
     let strip = metadata.get(STRIP_KEY).map(String::as_str).unwrap_or_default();
     let strip: StripJson = serde_json::from_str(strip)
         .map_err(|error| unusable(format!("invalid description of the strip: {error}")))?;
-    let (span_s, n_patches) = ([strip.first_s, strip.last_s], strip.patches);
-    if strip.name.is_empty() || span_s[0] > span_s[1] || strip.made_with.cell_m <= 0.0 {
+    if strip.name.is_empty() || strip.first_s > strip.last_s || strip.made_with.cell_m <= 0.0 {
         return Err(unusable("the description of the strip has no name, times or cell size".to_owned()));
     }
-    if n_patches > MOST_PATCHES {
-        return Err(unusable(format!("{n_patches} patches are more than {MOST_PATCHES}")));
+    if strip.patches > MOST_PATCHES {
+        return Err(unusable(format!("{} patches are more than {MOST_PATCHES}", strip.patches)));
     }
+    Ok((table, strip))
+}
+
+/// Reads the patches of a strip.
+///
+/// # Errors
+/// A file that cannot be read, is damaged, or is not the patches of a strip in this version.
+pub fn read_patches(path: &Path) -> Result<PatchesFile> {
+    let unusable = |problem: String| Error::unusable(path, problem, REMEDY);
+    let (mut table, strip) = open(path)?;
+    let (span_s, n_patches) = ([strip.first_s, strip.last_s], strip.patches);
     let mut patches = Vec::new();
     while let Some(batch) = table.next_batch()? {
         if batch.num_rows() > n_patches - patches.len() {

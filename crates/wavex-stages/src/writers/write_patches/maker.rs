@@ -17,6 +17,8 @@ pub struct StripMaker {
     scanner: Scanner,
     settings: PatchSettings,
     found: Option<Found>,
+    /// Times of the shots of a line, s on the axis of the trajectory.
+    times_s: Vec<f64>,
 }
 
 /// Content of a strip so far.
@@ -42,7 +44,7 @@ pub struct StripPatches {
     pub n_shots: u64,
     /// Cells without a patch.
     pub counts: PatchCounts,
-    /// Patches of strip 0, in the order of their times.
+    /// Patches of strip 0, in the order of keeping of [`PatchMaker`].
     pub patches: Vec<Patch>,
 }
 
@@ -57,7 +59,7 @@ pub(crate) fn scanner_of(geometry: &Geometry) -> Scanner {
 impl StripMaker {
     /// For a strip with this trajectory and installation.
     pub fn new(geometry: Arc<Geometry>, settings: PatchSettings) -> StripMaker {
-        StripMaker { scanner: scanner_of(&geometry), geometry, settings, found: None }
+        StripMaker { scanner: scanner_of(&geometry), geometry, settings, found: None, times_s: Vec::new() }
     }
 
     /// Adds the points of a line.
@@ -73,6 +75,9 @@ impl StripMaker {
                 "give the recording of the instrument, and `trajectory` in `[job.geometry]`",
             ));
         };
+        self.times_s.clear();
+        self.times_s
+            .extend(line.emissions.iter().map(|emission| alignment.on_trajectory(emission.gps_time_s)));
         let first_s = alignment.on_trajectory(first.gps_time_s);
         let found = self.found.get_or_insert_with(|| Found {
             maker: PatchMaker::on_tiles(self.settings),
@@ -80,19 +85,19 @@ impl StripMaker {
             span_s: [first_s; 2],
             n_shots: 0,
         });
-        for emission in &line.emissions {
-            let time_s = alignment.on_trajectory(emission.gps_time_s);
+        for &time_s in &self.times_s {
             found.span_s = [found.span_s[0].min(time_s), found.span_s[1].max(time_s)];
         }
         found.n_shots += line.emissions.len() as u64;
         let Content::Points(returns, _) = &line.content else { return Ok(()) };
         for given in returns.iter().filter(|given| !given.withheld) {
-            let Some(emission) = line.emissions.get(given.emission as usize) else { continue };
+            let index = given.emission as usize;
+            let shot = line.emissions.get(index).zip(self.times_s.get(index));
+            let Some((emission, &time_s)) = shot else { continue };
             let point_in_ecef_m: Vector = std::array::from_fn(|axis| {
                 emission.origin_m[axis] + given.range_m * emission.direction[axis]
             });
             let on_low_power_scale = is_on_low_power_scale(given.channel, line.fusion.is_some());
-            let time_s = alignment.on_trajectory(emission.gps_time_s);
             found.maker.add(&PatchReturn {
                 // `finish` makes beams of the ends.
                 beam: ScannerBeam { time_s, ..ScannerBeam::default() },
