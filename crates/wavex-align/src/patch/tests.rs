@@ -141,8 +141,8 @@ fn first_patches_are_those_of_a_lower_limit() {
         patches(&strip, PatchSettings { most_patches, patience_s, ..PatchSettings::default() }).0
     };
     let all = kept(60_000, 2.0);
-    assert_eq!(all.len(), 4096);
-    for (most, patience_s) in [(2000, 2.0), (300, 0.02), (10, 0.02)] {
+    assert!(all.len() > 1000, "{}", all.len());
+    for (most, patience_s) in [(500, 2.0), (100, 0.02), (10, 0.02)] {
         let few = kept(most, patience_s);
         assert!(few.len() <= most && few.len() + 9 > most, "{} of {most}", few.len());
         assert!(few == all[..few.len()], "{most}");
@@ -153,13 +153,13 @@ fn first_patches_are_those_of_a_lower_limit() {
 #[test]
 fn dense_cells_use_an_even_part_of_their_returns() {
     let plane = |x: f64, y: f64| 0.3 * x - 0.2 * y;
-    let settings = PatchSettings { cell_m: 6.0, ..PatchSettings::default() };
-    let (found, _) = patches(&returns(48, 1, 0.01, plane), settings);
+    let settings = PatchSettings { cell_m: 6.5, ..PatchSettings::default() };
+    let (found, _) = patches(&returns(52, 1, 0.01, plane), settings);
     assert_eq!(found.len(), 16);
     for patch in &found {
-        // Every fourth of 144.
-        assert!((33..=36).contains(&patch.n_returns), "{patch:?}");
-        let places = patch.beams.map(|beam| place(48, (beam.time_s / 1e-5).round() as usize));
+        // Every fourth of 169.
+        assert!((39..=43).contains(&patch.n_returns), "{patch:?}");
+        let places = patch.beams.map(|beam| place(52, (beam.time_s / 1e-5).round() as usize));
         for axis in 0..2 {
             let along = places.map(|place| place[axis]);
             let extent =
