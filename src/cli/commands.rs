@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::args::{
-    AlignArgs, ArchiveArgs, CalibrateArgs, ClassifyArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule, JobArgs,
-    MachineArgs, PlanArgs, ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
+    AlignArgs, ArchiveArgs, CalibrateArgs, ClassifyArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule,
+    JobArgs, MachineArgs, PlanArgs, ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
 };
 use super::false_alarms::FalseAlarmArgs;
 use super::usage;

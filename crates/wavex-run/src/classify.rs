@@ -113,8 +113,8 @@ pub fn classify_clouds(request: &ClassifyRequest<'_>) -> Result<ClassifiedClouds
     let files = list(request.inputs)?;
     let outputs = outputs(request, &files)?;
     let pool = ThreadPoolBuilder::new().num_threads(request.threads).build();
-    let pool = pool
-        .map_err(|error| Failure::Run(format!("cannot start threads: {error}; set fewer `--threads`")))?;
+    let pool =
+        pool.map_err(|error| Failure::Run(format!("cannot start threads: {error}; set fewer `--threads`")))?;
     pool.install(|| classify(request, files.into_iter().zip(outputs).collect()))
 }
 
@@ -128,14 +128,23 @@ fn outputs(request: &ClassifyRequest<'_>, files: &[PathBuf]) -> Result<Vec<PathB
     let mut outputs = Vec::new();
     if is_cloud(request.output) && !request.output.is_dir() {
         let [file] = files else {
-            return wrong(request.output, "the output of several clouds is a folder; give one without .las or .laz");
+            return wrong(
+                request.output,
+                "the output of several clouds is a folder; give one without .las or .laz",
+            );
         };
         if !is_one {
-            return wrong(request.output, "the output of a folder or pattern is a folder; give one without .las or .laz");
+            return wrong(
+                request.output,
+                "the output of a folder or pattern is a folder; give one without .las or .laz",
+            );
         }
         let extension = |path: &Path| path.extension().unwrap_or_default().to_ascii_lowercase();
         if extension(file) != extension(request.output) {
-            return wrong(request.output, "the copy is compressed as its input is; give it the extension of the input");
+            return wrong(
+                request.output,
+                "the copy is compressed as its input is; give it the extension of the input",
+            );
         }
         outputs.push(request.output.to_path_buf());
     } else {
@@ -194,11 +203,15 @@ impl<'a> Progress<'a> {
     }
 }
 
-fn classify(request: &ClassifyRequest<'_>, files: Vec<(PathBuf, PathBuf)>) -> Result<ClassifiedClouds, Failure> {
+fn classify(
+    request: &ClassifyRequest<'_>,
+    files: Vec<(PathBuf, PathBuf)>,
+) -> Result<ClassifiedClouds, Failure> {
     let mut failures = Vec::new();
     let clouds = open(files, &mut failures)?;
     let lock = claim(request, &clouds)?;
-    let folder = clouds.first().and_then(|cloud| cloud.output.parent()).filter(|folder| *folder != Path::new(""));
+    let folder =
+        clouds.first().and_then(|cloud| cloud.output.parent()).filter(|folder| *folder != Path::new(""));
     let folder = folder.unwrap_or(Path::new("."));
     let tiles = Tiles::new(folder, request.kept_classes).map_err(|error| Failure::Run(no_room(&error)))?;
     let progress = Progress::new("reading", request, &clouds);
@@ -296,7 +309,10 @@ fn open(files: Vec<(PathBuf, PathBuf)>, failures: &mut Vec<String>) -> Result<Ve
 fn none_usable(failures: &[String]) -> Failure {
     match failures {
         [only] => Failure::Run(only.clone()),
-        _ => Failure::Run(format!("no cloud can be used; correct their problems:\n  {}", failures.join("\n  "))),
+        _ => Failure::Run(format!(
+            "no cloud can be used; correct their problems:\n  {}",
+            failures.join("\n  ")
+        )),
     }
 }
 
@@ -306,7 +322,10 @@ fn claim(request: &ClassifyRequest<'_>, clouds: &[Cloud]) -> Result<OutputLock, 
     for path in clouds.iter().map(|cloud| cloud.output.as_path()).chain(request.report) {
         let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder).map_err(|error| {
-            Failure::Run(format!("{}: cannot create the folder: {error}; check its permissions", folder.display()))
+            Failure::Run(format!(
+                "{}: cannot create the folder: {error}; check its permissions",
+                folder.display()
+            ))
         })?;
         claimed.entry(folder.to_path_buf()).or_default().insert(path.to_path_buf());
     }
@@ -339,7 +358,8 @@ fn finish(
     clouds: &[Cloud],
 ) -> Result<ClassifiedClouds, Failure> {
     let failed = |error: wavex_formats::Error| Failure::Run(error.to_string());
-    let mut warnings: Vec<String> = results.iter().flat_map(|(cloud, ..)| cloud.notes.iter().cloned()).collect();
+    let mut warnings: Vec<String> =
+        results.iter().flat_map(|(cloud, ..)| cloud.notes.iter().cloned()).collect();
     let mut files = Vec::new();
     let mut rows = Vec::new();
     for (cloud, file, result) in results {
@@ -354,7 +374,8 @@ fn finish(
         files.push(crate::align::finished(path, &(report + "\n"))?);
     }
     files.iter_mut().try_for_each(FinishedFile::remove_stale).map_err(failed)?;
-    let mut written = files.into_iter().map(FinishedFile::publish).collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    let mut written =
+        files.into_iter().map(FinishedFile::publish).collect::<Result<Vec<_>, _>>().map_err(failed)?;
     written.sort();
     let first = clouds.iter().find(|cloud| cloud.wkt.is_some()).or(clouds.first());
     let (wkt, units_m) = first.map_or((None, [1.0; 2]), |cloud| (cloud.wkt.clone(), cloud.units_m));

@@ -151,7 +151,9 @@ fn write_chunks(
     let length = u64::from(points.header().record_length);
     let mut at = u64::from(points.header().offset_to_points) + ChunkTable::OFFSET_SIZE as u64;
     sink.write_all(&(-1i64).to_le_bytes()).map_err(&written)?;
-    let Some(chunks) = points.compressed() else { return Ok(CopiedChunks { places: BTreeMap::new(), table_at: at }) };
+    let Some(chunks) = points.compressed() else {
+        return Ok(CopiedChunks { places: BTreeMap::new(), table_at: at });
+    };
     let (laz, is_layered, offsets) = (chunks.laz().clone(), chunks.is_layered(), chunks.offsets());
     let counts: Vec<u64> = chunks.n_points().collect();
     if let Some(most) = counts.iter().max().filter(|most| most.saturating_mul(length) > LARGEST_CHUNK) {
@@ -259,7 +261,8 @@ fn patches(
     let header = points.header();
     let start = u64::from(header.offset_to_points);
     let mut patches = vec![(start, chunks.table_at.to_le_bytes().to_vec())];
-    let mut moved = |place: u64, at: u64| patches.extend(tail.moved(at).map(|at| (place, at.to_le_bytes().to_vec())));
+    let mut moved =
+        |place: u64, at: u64| patches.extend(tail.moved(at).map(|at| (place, at.to_le_bytes().to_vec())));
     if header.version.1 >= 3 {
         moved(WAVEFORMS_AT as u64, header.start_of_waveforms);
     }
@@ -332,10 +335,7 @@ fn octree_patches(
             }
         }
     }
-    Some(vec![
-        (first_page_at, tail.moved(first)?.to_le_bytes().to_vec()),
-        (tail.moved(octree.offset)?, data),
-    ])
+    Some(vec![(first_page_at, tail.moved(first)?.to_le_bytes().to_vec()), (tail.moved(octree.offset)?, data)])
 }
 
 fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {

@@ -83,7 +83,13 @@ impl Cloud {
     pub(super) fn rank(&self) -> impl Ord {
         let bits = |values: [f64; 3]| values.map(f64::to_bits);
         let header = &self.header;
-        let content = (header.n_points, bits(header.min), bits(header.max), bits(header.offset), header.n_points_by_return);
+        let content = (
+            header.n_points,
+            bits(header.min),
+            bits(header.max),
+            bits(header.offset),
+            header.n_points_by_return,
+        );
         (content, self.path.clone())
     }
 
@@ -137,7 +143,8 @@ impl Cloud {
         let returns = data.return_number().zip(data.number_of_returns());
         // Bits of synthetic and withheld points.
         let bits = if is_legacy { 0b1010_0000 } else { 0b101 };
-        let flags = data.raw_bytes().chunks_exact(data.record_len()).map(move |record| record[15] & bits != 0);
+        let flags =
+            data.raw_bytes().chunks_exact(data.record_len()).map(move |record| record[15] & bits != 0);
         let fields = data.classification().zip(returns).zip(data.point_source_id()).zip(flags);
         places.zip(fields).map(move |(((x, y), z), (((class, returns), source), is_withheld))| ReadPoint {
             position_m: [x * plane_m, y * plane_m, z * height_m],
@@ -177,7 +184,8 @@ impl Cloud {
             _ => None,
         };
         let (return_number, n_returns) = point.returns;
-        let measured = CloudPoint { return_number, n_returns, strip: point.source, ..CloudPoint::at(point.position_m) };
+        let measured =
+            CloudPoint { return_number, n_returns, strip: point.source, ..CloudPoint::at(point.position_m) };
         TilePoint { point: measured, is_classified, absurd }
     }
 

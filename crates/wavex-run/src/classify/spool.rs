@@ -103,7 +103,9 @@ impl<K: Ord + Copy> SpoolWriter<'_, K> {
     fn flush(&mut self) -> io::Result<()> {
         self.held = 0;
         let buffers = std::mem::take(&mut self.buffers).into_iter();
-        buffers.filter(|(_, buffer)| !buffer.is_empty()).try_for_each(|(key, buffer)| self.spool.append(key, &buffer))
+        buffers
+            .filter(|(_, buffer)| !buffer.is_empty())
+            .try_for_each(|(key, buffer)| self.spool.append(key, &buffer))
     }
 }
 

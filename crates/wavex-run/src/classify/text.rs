@@ -98,13 +98,20 @@ pub(super) fn notes(cloud: &Cloud, result: &CloudResult) -> Vec<String> {
     }
     let waveforms = ["wdp", "WDP", "wdz"].map(|extension| cloud.path.with_extension(extension));
     if let Some(waveforms) = waveforms.iter().find(|path| result.copy.has_waveform_file && path.exists()) {
-        note(format!("its waveforms are in {}; copy this file next to the classified cloud", waveforms.display()));
+        note(format!(
+            "its waveforms are in {}; copy this file next to the classified cloud",
+            waveforms.display()
+        ));
     }
     notes
 }
 
 /// Report for programs.
-pub(super) fn report(request: &ClassifyRequest<'_>, rows: &[(&Cloud, CloudResult)], failures: &[String]) -> Value {
+pub(super) fn report(
+    request: &ClassifyRequest<'_>,
+    rows: &[(&Cloud, CloudResult)],
+    failures: &[String],
+) -> Value {
     let classes = |counts: &ClassCounts| {
         let found = (0..256).zip(counts).filter(|(_, n)| **n > 0);
         found.map(|(class, n)| (class.to_string(), Value::from(*n))).collect::<serde_json::Map<_, _>>()

@@ -76,10 +76,8 @@ impl<'a> Tiles<'a> {
         (failed, memory_mb): (&BTreeSet<u32>, u64),
         mut progress: impl FnMut(f64) -> bool,
     ) -> io::Result<Option<Ground>> {
-        let ground = Ground {
-            classes: Spool::new(folder, CLASS_BYTES)?,
-            points: Spool::new(folder, RECORD_BYTES)?,
-        };
+        let ground =
+            Ground { classes: Spool::new(folder, CLASS_BYTES)?, points: Spool::new(folder, RECORD_BYTES)? };
         let mut writer = ground.classes.writer();
         for key in self.absurd.keys() {
             let mut result = Ok(());
@@ -124,7 +122,8 @@ impl<'a> Tiles<'a> {
         let mut n_points = self.n_around(tile);
         if n_points > MOST_POINTS {
             n_points = 0;
-            self.points.near(tile, OVERLAP_M, |point| n_points += u64::from(!failed.contains(&point.id.0)))?;
+            self.points
+                .near(tile, OVERLAP_M, |point| n_points += u64::from(!failed.contains(&point.id.0)))?;
         }
         let n_parts = n_points.div_ceil(MOST_POINTS).max(1);
         let (mut classes, mut ground_points) = (ground.classes.writer(), ground.points.writer());
@@ -182,7 +181,11 @@ fn hash(position_m: [f64; 3]) -> u64 {
     })
 }
 
-fn push_class(writer: &mut SpoolWriter<'_, (u32, u64)>, (cloud, index): PointId, class: Class) -> io::Result<()> {
+fn push_class(
+    writer: &mut SpoolWriter<'_, (u32, u64)>,
+    (cloud, index): PointId,
+    class: Class,
+) -> io::Result<()> {
     let [a, b, c, d] = ((index % BLOCK_POINTS) as u32).to_le_bytes();
     writer.push((cloud, index / BLOCK_POINTS), &[a, b, c, d, class as u8])
 }

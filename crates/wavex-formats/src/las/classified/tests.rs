@@ -96,7 +96,9 @@ fn compressed(las: &[u8], is_variable: bool) -> Vec<u8> {
     sink.seek(SeekFrom::End(0)).unwrap();
     let mut compressor = laz::ParLasZipCompressor::new(sink, laz).unwrap();
     if is_variable {
-        let (first, second) = records.split_at(records.len() / usize::from(header.record_length) / 3 * usize::from(header.record_length));
+        let (first, second) = records.split_at(
+            records.len() / usize::from(header.record_length) / 3 * usize::from(header.record_length),
+        );
         compressor.compress_chunks([first, second]).unwrap();
     } else {
         compressor.compress_many(&records).unwrap();
