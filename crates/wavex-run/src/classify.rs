@@ -217,8 +217,8 @@ fn classify(
     let progress = Progress::new("reading", request, &clouds);
     let spooled: Vec<_> = clouds
         .par_iter()
-        .zip(0..)
-        .map(|(cloud, number)| cloud.spool(number, &tiles, progress.of(cloud)))
+        .enumerate()
+        .map(|(number, cloud)| cloud.spool(number as u32, &tiles, progress.of(cloud)))
         .collect();
     drop(progress);
     check_interruption(&request.cancel)?;
