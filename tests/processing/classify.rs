@@ -6,6 +6,7 @@ use std::path::Path;
 use las::point::{Classification, Format};
 use las::{Builder, Point, Reader, Transform, Vector, Vlr, Writer};
 use serde_json::Value;
+use tiff::decoder::{Decoder, DecodingResult};
 use wavex_testkit::{Outcome, TestFolder};
 
 /// Corner of the clouds, m.
@@ -362,7 +363,7 @@ fn strips_are_classified_by_the_commands_of_the_how_to() {
         .filter_map(|line| line.strip_prefix("wavex "))
         .map(|command| command.replace('\'', ""))
         .collect();
-    assert_eq!(commands.len(), 5, "{commands:?}");
+    assert_eq!(commands.len(), 6, "{commands:?}");
     let place = TestFolder::new();
     let cloud = Scene { epsg: Some(32633), version: (1, 2), format: 1, ..SCENE };
     for (name, seed) in [("strips/strip1.laz", 1), ("strips/strip2.laz", 2)] {
@@ -371,4 +372,58 @@ fn strips_are_classified_by_the_commands_of_the_how_to() {
     for command in &commands {
         succeeds(&place, &command.split_whitespace().collect::<Vec<_>>());
     }
+}
+
+/// One model of all strips: bytes depend neither on threads nor on the order of files.
+#[test]
+fn terrain_is_written_with_standard_deviations() {
+    let place = TestFolder::new();
+    place.write("strips/a.laz", &scene(&Scene { epsg: Some(25833), ..SCENE }));
+    place.write("strips/b.laz", &scene(&Scene { seed: 2, epsg: Some(25833), ..SCENE }));
+    let words = ["classify", "strips", "-o", "out", "--dem", "out/ground.tif", "--cell", "2"];
+    let outcome = succeeds(&place, &words);
+    assert!(outcome.out.contains("terrain: 9"), "{}", outcome.out);
+    let words = [
+        "strips/b.laz",
+        "strips/a.laz",
+        "-o",
+        "again",
+        "--dem",
+        "again.tif",
+        "--cell",
+        "2",
+        "--threads",
+        "1",
+    ];
+    succeeds(&place, &[&["classify"], &words[..]].concat());
+    assert!(bytes(&place, "out/ground.tif") == bytes(&place, "again.tif"));
+    let mut decoder = Decoder::new(Cursor::new(bytes(&place, "again.tif"))).unwrap();
+    assert_eq!(decoder.dimensions().unwrap(), (30, 30));
+    let DecodingResult::F32(values) = decoder.read_chunk(0).unwrap() else { panic!() };
+    let mut deviations = Vec::new();
+    for (i, cell) in values.chunks_exact(4).enumerate() {
+        let (x_m, y_m) = ((i % 256) as f64 * 2.0 + 1.0, EDGE_M - 1.0 - (i / 256) as f64 * 2.0);
+        if cell[0] > -9000.0 && !is_house(x_m, y_m) {
+            let truth_m = 100.0 + 2.0 * (x_m / 17.0).sin() + 0.1 * y_m;
+            deviations.push((f64::from(cell[0]) - truth_m) / f64::from(cell[1]));
+            assert!((0.0..0.2).contains(&cell[1]) && cell[2] < 60.0 && cell[3] < 5.0, "{cell:?}");
+        }
+    }
+    let rms = (deviations.iter().map(|d| d * d).sum::<f64>() / deviations.len() as f64).sqrt();
+    // The noise is that of files with steps of 1 cm, and the error of strips is unknown but none.
+    assert!(deviations.len() > 800 && rms < 1.5, "{rms} of {}", deviations.len());
+}
+
+#[test]
+fn terrain_without_ground_is_refused() {
+    let place = TestFolder::new();
+    place.write("a.laz", &file(&SCENE, Vec::new()));
+    let message = fails(&place, 1, &["classify", "a.laz", "-o", "b.laz", "--dem", "a.tif"]);
+    assert!(
+        message.contains("a.tif: no terrain model is written: the clouds have no ground points"),
+        "{message}"
+    );
+    assert!(!place.path("a.tif").exists());
+    let message = fails(&place, 2, &["classify", "a.laz", "-o", "b.laz", "--dem", "a.png"]);
+    assert!(message.contains("a.png: the terrain model is a GeoTIFF; give a name with .tif"), "{message}");
 }

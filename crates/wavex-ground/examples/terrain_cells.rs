@@ -36,12 +36,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     let rows = points.iter().map(row).min().map_or(0, |south| (north_row - south + 1) as usize);
     let cells = CellRange { first_column, north_row, columns, rows };
     let tile = terrain_of_tile(&points, cells, cell_m, &model, &options);
-    println!("{} cells from {} points in {:.1} s", columns * rows, points.len(), start.elapsed().as_secs_f64());
+    println!(
+        "{} cells from {} points in {:.1} s",
+        columns * rows,
+        points.len(),
+        start.elapsed().as_secs_f64()
+    );
     let mut text = String::new();
     for i in (0..columns * rows).filter(|i| tile.height_m[*i].is_finite()) {
         let x = ((first_column + (i % columns) as i64) as f64 + 0.5) * cell_m;
         let y = ((north_row - (i / columns) as i64) as f64 + 0.5) * cell_m;
-        let [z, sd, n, d] = [&tile.height_m, &tile.sd_m, &tile.n_points, &tile.distance_m].map(|band| band[i]);
+        let [z, sd, n, d] =
+            [&tile.height_m, &tile.sd_m, &tile.n_points, &tile.distance_m].map(|band| band[i]);
         writeln!(text, "{x} {y} {z} {sd} {n} {d}")?;
     }
     std::fs::write(out, text)?;
@@ -50,6 +56,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 fn point(line: &str) -> Result<CloudPoint, Box<dyn Error>> {
     let numbers = line.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>()?;
-    let [x, y, z, sd, strip] = numbers[..] else { return Err(format!("five numbers expected: {line}").into()) };
+    let [x, y, z, sd, strip] = numbers[..] else {
+        return Err(format!("five numbers expected: {line}").into());
+    };
     Ok(CloudPoint { height_sd_m: sd as f32, strip: strip as u16, ..CloudPoint::at([x, y, z]) })
 }

@@ -13,12 +13,14 @@ mod learn;
 mod mask;
 mod model;
 mod neighbours;
+#[cfg(test)]
+mod tests;
 
 use rayon::prelude::*;
 
 use crate::point::CloudPoint;
-use kriging::Target;
 pub use kriging::Smoothness;
+use kriging::Target;
 use learn::PER_OCTANT;
 pub use learn::learn_terrain;
 pub use model::{Assumption, TerrainModel};
@@ -82,7 +84,8 @@ pub fn terrain_of_tile(
 ) -> TerrainTile {
     let n = cells.columns * cells.rows;
     let index = PointIndex::new(points);
-    let x: Vec<f64> = (0..cells.columns).map(|c| ((cells.first_column + c as i64) as f64 + 0.5) * cell_m).collect();
+    let x: Vec<f64> =
+        (0..cells.columns).map(|c| ((cells.first_column + c as i64) as f64 + 0.5) * cell_m).collect();
     let y: Vec<f64> = (0..cells.rows).map(|r| ((cells.north_row - r as i64) as f64 + 0.5) * cell_m).collect();
     let mut tile = TerrainTile {
         height_m: vec![f32::NAN; n],
@@ -138,7 +141,8 @@ impl Nodes {
     /// Estimates the nodes around the cells that have data.
     fn new(index: &PointIndex, [x, y]: [&[f64]; 2], mask: &[bool], model: &TerrainModel) -> Nodes {
         let floor = |v: f64| (v / NODE_M).floor() as i64;
-        let (Some(west), Some(east), Some(north), Some(south)) = (x.first(), x.last(), y.first(), y.last()) else {
+        let (Some(west), Some(east), Some(north), Some(south)) = (x.first(), x.last(), y.first(), y.last())
+        else {
             return Nodes { first: [0; 2], columns: 1, variances: Vec::new() };
         };
         let first = [floor(*west), floor(*south)];
@@ -173,7 +177,8 @@ impl Nodes {
         let row = (corner[1] as i64 - self.first[1]) as usize;
         let mut mean = [0.0; 2];
         for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let weight = if dx == 1 { part[0] } else { 1.0 - part[0] } * if dy == 1 { part[1] } else { 1.0 - part[1] };
+            let weight =
+                if dx == 1 { part[0] } else { 1.0 - part[0] } * if dy == 1 { part[1] } else { 1.0 - part[1] };
             let of_node = self.variances[(row + dy) * self.columns + column + dx];
             mean[0] += weight * of_node[0];
             mean[1] += weight * of_node[1];

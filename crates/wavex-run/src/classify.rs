@@ -20,9 +20,11 @@ use tiles::{Ground, Tiles};
 
 mod files;
 mod spool;
+mod terrain;
 mod text;
 mod tiles;
 
+pub use terrain::{TerrainRequest, WrittenTerrain, write_terrain};
 pub use tiles::Tile;
 pub use wavex_ground::filter::{GroundSettings, TILE_M};
 

@@ -179,16 +179,12 @@ impl Kriging {
                 v.iter_mut().for_each(|x| *x /= length);
             }
             for k in c..p {
-                let dot: f64 = (c..n).map(|i| v[i] * f[i][k]).sum();
-                for i in c..n {
-                    f[i][k] -= 2.0 * dot * v[i];
-                }
+                let along: f64 = v.iter().zip(&f).map(|(v, row)| v * row[k]).sum();
+                f.iter_mut().zip(&v).for_each(|(row, v)| row[k] -= 2.0 * along * v);
             }
             self.reflectors.push(v);
         }
-        for c in 0..p {
-            self.r[c] = f[c];
-        }
+        self.r[..p].copy_from_slice(&f[..p]);
     }
 
     fn reflect(&self, x: &mut [f64]) {

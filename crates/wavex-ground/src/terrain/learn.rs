@@ -5,8 +5,8 @@ use wavex_simd::statistics::median;
 
 use super::kriging::{Parts, Smoothness, Target};
 use super::model::{
-    Assumption, CLASSES, DISTANCES_M, NODE_M, NODE_POINTS, NOISE_STEPS, Scratch, TERRAIN_STEPS, TerrainModel, data_of,
-    keep_frequent_strips, posterior, steps,
+    Assumption, CLASSES, DISTANCES_M, NODE_M, NODE_POINTS, NOISE_STEPS, Scratch, TERRAIN_STEPS, TerrainModel,
+    data_of, keep_frequent_strips, posterior, steps,
 };
 use super::neighbours::PointIndex;
 use crate::point::CloudPoint;
@@ -21,6 +21,8 @@ const FEWEST_NODES: usize = 20;
 const FEWEST_POINTS: usize = 60;
 /// Radii around a predicted point without points, m: points of one scan line are not independent.
 const HOLES_M: [f64; 7] = [0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
+/// Distance to the edge of a sample within which points are not predicted, m: nothing is beyond the edge.
+const EDGE_M: f64 = 20.0;
 /// Points per octant for a prediction.
 pub(crate) const PER_OCTANT: usize = 3;
 /// Iterations of the prior's estimate (expectation, maximisation).
@@ -28,9 +30,9 @@ const ITERATIONS: usize = 30;
 /// Share of the prior that is spread over all values, for terrain that the samples lack.
 const SPREAD: f64 = 0.01;
 /// Error in SDs from which a predicted point counts as wrongly classified.
-const WRONG: [f64; 2] = [-4.5, 3.0];
+const WRONG: [f64; 2] = [-4.5, 2.5];
 /// Largest error in SDs that counts: a few wrong points must not decide.
-const MOST_DEVIATION: f64 = 6.0;
+const MOST_DEVIATION: f64 = 4.0;
 /// Assumed SD of the height error of a strip, m.
 const ASSUMED_STRIP_M: f64 = 0.05;
 /// Fewest points of each of two strips for their difference.
@@ -196,8 +198,13 @@ fn strip_error(model: &TerrainModel, indices: &[PointIndex], nodes: &[(usize, [f
             }
             strips.sort_unstable();
             let parts = Parts { strip: 0.0, ..model.parts(variances) };
-            let found =
-                scratch.kriging.predict(&mut scratch.data, model.smoothness, parts, Target::StripDifference, &strips)?;
+            let found = scratch.kriging.predict(
+                &mut scratch.data,
+                model.smoothness,
+                parts,
+                Target::StripDifference,
+                &strips,
+            )?;
             Some((strips[0], strips[1], found.height_m, found.variance.terrain + found.variance.noise))
         })
         .flatten()
@@ -227,7 +234,17 @@ fn strip_error(model: &TerrainModel, indices: &[PointIndex], nodes: &[(usize, [f
 fn left_out(model: &TerrainModel, indices: &[PointIndex], most_m: f64) -> Vec<LeftOut> {
     let mut chosen: Vec<(u64, usize, u32)> = Vec::new();
     for (sample, index) in indices.iter().enumerate() {
-        chosen.extend(index.points().iter().enumerate().map(|(i, p)| (shuffled(p.position_m), sample, i as u32)));
+        let ends = |axis: usize| {
+            let along = index.points().iter().map(|p| p.position_m[axis]);
+            let (low, high) =
+                along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+            let edge = EDGE_M.min(0.25 * (high - low));
+            low + edge..=high - edge
+        };
+        let inner = [ends(0), ends(1)];
+        let is_inner = |p: &CloudPoint| (0..2).all(|axis| inner[axis].contains(&p.position_m[axis]));
+        let points = index.points().iter().enumerate().filter(|(_, p)| is_inner(p));
+        chosen.extend(points.map(|(i, p)| (shuffled(p.position_m), sample, i as u32)));
     }
     let n = chosen.len();
     if n > MOST_POINTS {
@@ -313,7 +330,10 @@ fn gap_factors(left_out: &[LeftOut]) -> Option<[f64; CLASSES]> {
             let middle = (low * high).sqrt();
             if excess(middle) > 0.0 { low = middle } else { high = middle }
         }
-        *factor = low;
+        // Where noise dominates, the points say little of the terrain between them.
+        let share =
+            of_class.iter().map(|l| l.terrain / (l.terrain + l.rest)).sum::<f64>() / of_class.len() as f64;
+        *factor = libm::exp(share.sqrt() * libm::log(low));
     }
     let first = factors.iter().position(|f| f.is_finite())?;
     // Classes without points have the factor of the next nearer class, or of the first.

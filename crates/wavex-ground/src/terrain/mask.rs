@@ -7,23 +7,17 @@ use super::neighbours::PointIndex;
 /// Marks the cells whose centres are inside a Delaunay triangle with a circumradius of at most `most_m`.
 ///
 /// Such a triangle depends on the points within `2 most_m` of its corners alone, so tiles with that margin
-/// have the same triangles. Cells within `near_m` of a point count too. `centres` are those of columns from
-/// the west and of rows from the north, m.
-pub(crate) fn covered(
-    index: &PointIndex,
-    [columns, rows]: [&[f64]; 2],
-    most_m: f64,
-) -> Vec<bool> {
-    let mut mask = vec![false; columns.len() * rows.len()];
-    let (Some(west), Some(north)) = (columns.first(), rows.first()) else { return mask };
-    let corners = index.points().iter().map(|p| Point2::new(p.position_m[0] - west, p.position_m[1] - north));
+/// have the same triangles. `x` are the centres of columns from the west, `y` those of rows from the north, m.
+pub(crate) fn covered(index: &PointIndex, [x, y]: [&[f64]; 2], most_m: f64) -> Vec<bool> {
+    let mut mask = vec![false; x.len() * y.len()];
+    // Coordinates are not reduced to the tile: rounding would differ between tiles.
+    let corners = index.points().iter().map(|p| Point2::new(p.position_m[0], p.position_m[1]));
     let Ok(triangulation) = DelaunayTriangulation::<Point2<f64>>::bulk_load(corners.collect()) else {
         return mask;
     };
-    let (x, y): (Vec<f64>, Vec<f64>) =
-        (columns.iter().map(|x| x - west).collect(), rows.iter().map(|y| y - north).collect());
     for face in triangulation.inner_faces() {
-        let corners = face.vertices().map(|v| v.position());
+        let mut corners = face.vertices().map(|v| v.position());
+        corners.sort_unstable_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
         if circumradius_squared(corners) > most_m * most_m {
             continue;
         }

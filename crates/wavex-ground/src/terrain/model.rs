@@ -92,7 +92,11 @@ pub(crate) fn data_of(index: &PointIndex, typical_sd_m: f64, found: &[Neighbour]
     data.extend(found.iter().map(|n| {
         let point = &index.points()[n.index as usize];
         let relative = f64::from(point.height_sd_m) / typical_sd_m;
-        let noise = if relative.is_finite() && relative > 0.0 { (relative * relative).clamp(0.1, 100.0) } else { 1.0 };
+        let noise = if relative.is_finite() && relative > 0.0 {
+            (relative * relative).clamp(0.1, 100.0)
+        } else {
+            1.0
+        };
         Datum { offset_m: n.offset_m, height_m: point.position_m[2], noise, strip: point.strip }
     }));
 }
@@ -199,7 +203,8 @@ impl std::fmt::Display for TerrainModel {
             let mut sum = 0.0;
             (0..n)
                 .find(|i| {
-                    sum += (0..self.prior.len()).filter(|k| step(*k) == *i).map(|k| self.prior[k]).sum::<f64>();
+                    sum +=
+                        (0..self.prior.len()).filter(|k| step(*k) == *i).map(|k| self.prior[k]).sum::<f64>();
                     sum >= 0.5
                 })
                 .unwrap_or(0)

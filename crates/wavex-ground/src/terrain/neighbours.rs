@@ -54,7 +54,14 @@ impl PointIndex {
             .max(extent[0].max(extent[1]) / MOST_BUCKETS as f64)
             .max(0.01);
         let size = extent.map(|length| (length / bucket_m) as usize + 1);
-        let mut index = PointIndex { points: Vec::new(), starts: Vec::new(), west: low[0], south: low[1], bucket_m, size };
+        let mut index = PointIndex {
+            points: Vec::new(),
+            starts: Vec::new(),
+            west: low[0],
+            south: low[1],
+            bucket_m,
+            size,
+        };
         points.sort_unstable_by(|a, b| {
             let order = index.bucket_of(a.position_m).cmp(&index.bucket_of(b.position_m));
             let by = |i: usize| a.position_m[i].total_cmp(&b.position_m[i]);
@@ -148,9 +155,8 @@ impl PointIndex {
                 }
             }
         }
-        limit = limit.min(
-            nearest.get(OCTANTS - 1).map_or(f64::INFINITY, |n| n.distance_squared * (REACH * REACH)),
-        );
+        limit = limit
+            .min(nearest.get(OCTANTS - 1).map_or(f64::INFINITY, |n| n.distance_squared * (REACH * REACH)));
         found.extend(octants.iter().flatten().filter(|n| n.distance_squared <= limit));
         // The nearest points of all directions are used in any case.
         found.extend(nearest.iter().filter(|n| !octants.iter().any(|list| list.contains(n))));
