@@ -21,6 +21,7 @@ mod calibrate;
 mod check;
 mod check_inputs;
 mod check_times;
+mod classify;
 mod commands;
 mod convert;
 mod copc;
@@ -121,6 +122,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Init { files, from } => init::init(&files, from.as_deref(), quiet),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
         Command::Align(args) => align::align(&args, quiet),
+        Command::Classify(args) => classify::classify(&args, quiet),
         Command::Calibrate(args) => calibrate::calibrate(&args, quiet),
         Command::Copc { inputs, out, stac, progress } => {
             copc::copc_each(&inputs, out, stac, progress.without_lines(quiet), quiet)

@@ -101,7 +101,12 @@ fn job_of(args: &AlignArgs) -> Result<JobArgs, Failure> {
 }
 
 /// Prints results and warnings.
-fn print(warnings: &[String], written: &[PathBuf], text: &str, quiet: bool) -> Result<(), Failure> {
+pub(super) fn print(
+    warnings: &[String],
+    written: &[PathBuf],
+    text: &str,
+    quiet: bool,
+) -> Result<(), Failure> {
     warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     if !quiet {
         let written: String =

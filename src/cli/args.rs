@@ -448,6 +448,44 @@ impl AlignmentArgs {
     }
 }
 
+/// Clouds to classify.
+#[derive(Args)]
+pub(super) struct ClassifyArgs {
+    /// Clouds of points: .las and .laz files (COPC too), or folders or patterns of them
+    #[arg(required = true, value_name = "CLOUD")]
+    pub(super) inputs: Vec<PathBuf>,
+    /// File to write for one cloud; folder for several, with the same names; existing files are replaced
+    #[arg(short, long, value_name = "FILE|FOLDER")]
+    pub(super) output: PathBuf,
+    /// Classes of points that stay as they are, separated by commas
+    #[arg(long, value_name = "CLASSES", value_delimiter = ',')]
+    pub(super) keep: Vec<u8>,
+    /// Report to write: points of each class before and after
+    #[arg(long, value_name = "FILE.json")]
+    pub(super) report: Option<PathBuf>,
+    /// Terrain model of all clouds to write: heights with standard deviations
+    #[arg(long, value_name = "FILE.tif")]
+    pub(super) dem: Option<PathBuf>,
+    /// Edge of the cells of the terrain model, m
+    #[arg(long, value_name = "M", default_value_t = 1.0, requires = "dem", value_parser = cell_m)]
+    pub(super) cell: f64,
+    /// Memory limit of the points that are classified at once, MB; a tile of dense points needs about 1200
+    #[arg(long, value_name = "MB", default_value_t = 2400, value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
+    pub(super) memory_mb: u64,
+    /// Number of worker threads; 0: one per core
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true, value_parser = whole::<usize>)]
+    pub(super) threads: usize,
+    /// When to show progress; auto: a bar on a terminal, lines elsewhere
+    #[arg(long, value_name = "WHEN", default_value = "auto")]
+    pub(super) progress: When,
+}
+
+/// Parses the size of cells.
+fn cell_m(text: &str) -> Result<f64, String> {
+    let cell_m = text.parse().ok().filter(|cell_m: &f64| (0.05..=100.0).contains(cell_m));
+    cell_m.ok_or_else(|| "give metres from 0.05 to 100".to_owned())
+}
+
 /// Parses the name of a parameter that is estimated only if asked.
 fn optional_parameter(text: &str) -> Result<OptionalParameter, String> {
     OptionalParameter::of_name(text).ok_or_else(|| {

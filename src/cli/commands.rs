@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::args::{
-    AlignArgs, ArchiveArgs, CalibrateArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule, JobArgs,
-    MachineArgs, PlanArgs, ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
+    AlignArgs, ArchiveArgs, CalibrateArgs, ClassifyArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule,
+    JobArgs, MachineArgs, PlanArgs, ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
 };
 use super::false_alarms::FalseAlarmArgs;
 use super::usage;
@@ -237,6 +237,13 @@ pub(super) enum Command {
     /// --apply are written moved. docs/how-to/align-a-survey.md describes it.
     #[command(after_help = usage::ALIGN)]
     Align(AlignArgs),
+    /// Classify the ground of clouds of points: LAS, LAZ, COPC of any source
+    ///
+    /// Writes copies of the clouds in which only the classes differ: 1 unclassified, 2 ground, 7 low noise, 18 high noise.
+    /// All clouds share the ground, so give the strips of a survey together. Points that are withheld, synthetic or noise
+    /// according to the file stay as they are. docs/how-to/ground-and-terrain.md describes it.
+    #[command(after_help = usage::CLASSIFY)]
+    Classify(ClassifyArgs),
     /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
     ///
     /// Prints a summary. Optionally writes a table with the columns t lon lat h x y z w p k, and a

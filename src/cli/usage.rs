@@ -63,6 +63,12 @@ Examples:
   wavex align survey.toml -o aligned --patches out
   wavex align strip04.laz strip05.laz -o aligned --trajectory linear --apply";
 
+pub(super) const CLASSIFY: &str = "\
+Examples:
+  wavex classify strip04.laz -o classified.laz
+  wavex classify strips -o classified --report classified.json
+  wavex classify 'strips/*.laz' -o classified --keep 6,9,17";
+
 pub(super) const CALIBRATE: &str = "\
 Examples:
   wavex calibrate flight7.pls

@@ -1,6 +1,6 @@
-//! Writer of rasters as cloud-optimised GeoTIFF (COG): one band of 32-bit floats.
+//! Writer of rasters as cloud-optimised GeoTIFF (COG): bands of 32-bit floats.
 //!
-//! Tiles of 256 by 256 cells, compressed by Deflate. Tiles without values are not stored. Overviews
+//! Tiles of 256 by 256 cells, compressed by Deflate, with the bands of a cell next to each other. Tiles without values are not stored. Overviews
 //! halve the raster until it fits into one tile. In the file, the directories come first, then the
 //! tiles of the smallest overview, and last the tiles of the raster itself (COG, "GeoTIFF file format
 //! requirements"; TIFF 6.0, sections 2 and 15; OGC GeoTIFF 1.1).
@@ -39,16 +39,21 @@ pub struct RasterGrid {
     pub cell: f64,
     /// Coordinate reference system as WKT.
     pub crs_wkt: Option<String>,
-    /// Description of the values, for GIS programs.
-    pub description: String,
+    /// Description of the values of each band, for GIS programs; one band at least.
+    pub bands: Vec<String>,
 }
 
-/// A tile's values from its north-west corner, row by row.
+/// A tile's values from its north-west corner, row by row; those of a cell's bands follow each other.
 pub type TileValues = Box<[f32]>;
 
-/// Creates a tile without data.
+/// Creates a tile of one band without data.
 pub fn empty_tile() -> TileValues {
-    vec![NO_DATA; TILE * TILE].into()
+    empty_tile_of(1)
+}
+
+/// Creates a tile of several bands without data.
+pub fn empty_tile_of(bands: usize) -> TileValues {
+    vec![NO_DATA; TILE * TILE * bands].into()
 }
 
 /// Position of a compressed tile in the spool.
@@ -106,12 +111,16 @@ impl<S: Write> RasterWriter<S> {
     }
 
     fn store(&mut self, level: usize, row: u32, column: u32, values: TileValues) -> io::Result<()> {
+        let bands = self.grid.bands.len().max(1);
+        if values.len() != TILE * TILE * bands {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "a tile has the wrong number of values"));
+        }
         if level + 1 < self.levels.len() {
             // Overview tiles above this one are complete.
             self.flush(level + 1, row / 2)?;
             let coarse = &mut self.levels[level + 1];
-            let target = coarse.pending.entry((row / 2, column / 2)).or_insert_with(empty_tile);
-            halve(&values, target, [(row % 2) as usize, (column % 2) as usize]);
+            let target = coarse.pending.entry((row / 2, column / 2)).or_insert_with(|| empty_tile_of(bands));
+            halve(&values, target, bands, [(row % 2) as usize, (column % 2) as usize]);
         }
         let bytes = compressed(&values)?;
         self.spool.write_all(&bytes)?;
@@ -206,33 +215,39 @@ impl SpooledRaster {
         let size = self.levels.get(level).map_or([1, 1], |level| level.size);
         let [across, down] = tiles(size);
         let grid = &self.grid;
+        let bands = grid.bands.len().max(1);
         let mut entries = vec![
             (254, TagValue::Longs(vec![u32::from(level > 0)])),
             (256, TagValue::Longs(vec![size[0]])),
             (257, TagValue::Longs(vec![size[1]])),
-            (258, TagValue::Shorts(vec![32])),
+            (258, TagValue::Shorts(vec![32; bands])),
             // Deflate.
             (259, TagValue::Shorts(vec![8])),
             (262, TagValue::Shorts(vec![1])),
-            (277, TagValue::Shorts(vec![1])),
+            (277, TagValue::Shorts(vec![bands as u16])),
             (284, TagValue::Shorts(vec![1])),
             (322, TagValue::Longs(vec![TILE as u32])),
             (323, TagValue::Longs(vec![TILE as u32])),
             (OFFSETS, TagValue::Longs(vec![0; (across * down) as usize])),
             (COUNTS, TagValue::Longs(vec![0; (across * down) as usize])),
-            // IEEE floating point.
-            (339, TagValue::Shorts(vec![3])),
         ];
+        if bands > 1 {
+            // Further bands are no colours and no transparency.
+            entries.push((338, TagValue::Shorts(vec![0; bands - 1])));
+        }
+        // IEEE floating point.
+        entries.push((339, TagValue::Shorts(vec![3; bands])));
         if level == 0 {
             entries.push((33550, TagValue::Doubles(vec![grid.cell, grid.cell, 0.0])));
             entries.push((33922, TagValue::Doubles(vec![0.0, 0.0, 0.0, grid.west, grid.north, 0.0])));
             if let Some(keys) = grid.crs_wkt.as_deref().and_then(geokeys::from_wkt) {
                 entries.extend(geo_entries(&keys));
             }
-            let metadata = format!(
-                "<GDALMetadata><Item name=\"DESCRIPTION\" sample=\"0\" role=\"description\">{}</Item></GDALMetadata>",
-                grid.description.replace('&', "&amp;").replace('<', "&lt;")
-            );
+            let items = grid.bands.iter().enumerate().map(|(band, description)| {
+                let text = description.replace('&', "&amp;").replace('<', "&lt;");
+                format!("<Item name=\"DESCRIPTION\" sample=\"{band}\" role=\"description\">{text}</Item>")
+            });
+            let metadata = format!("<GDALMetadata>{}</GDALMetadata>", items.collect::<String>());
             entries.push((42112, TagValue::Text(metadata)));
         }
         entries.push((42113, TagValue::Text(format!("{NO_DATA}"))));
@@ -266,20 +281,23 @@ fn geo_entries(keys: &GeoKeys) -> Vec<(u16, TagValue)> {
 }
 
 /// Averages 2 by 2 cells of a tile into a quarter of the next overview's tile.
-fn halve(fine: &[f32], coarse: &mut [f32], [down, across]: [usize; 2]) {
+fn halve(fine: &[f32], coarse: &mut [f32], bands: usize, [down, across]: [usize; 2]) {
     const HALF: usize = TILE / 2;
     for row in 0..HALF {
         for column in 0..HALF {
-            let (mut sum, mut n) = (0.0f64, 0u32);
-            for at in [0, 1, TILE, TILE + 1] {
-                let value = fine[2 * row * TILE + 2 * column + at];
-                if value.to_bits() != NO_DATA.to_bits() {
-                    sum += f64::from(value);
-                    n += 1;
+            for band in 0..bands {
+                let (mut sum, mut n) = (0.0f64, 0u32);
+                for at in [0, 1, TILE, TILE + 1] {
+                    let value = fine[(2 * row * TILE + 2 * column + at) * bands + band];
+                    if value.to_bits() != NO_DATA.to_bits() {
+                        sum += f64::from(value);
+                        n += 1;
+                    }
                 }
-            }
-            if n > 0 {
-                coarse[(down * HALF + row) * TILE + across * HALF + column] = (sum / f64::from(n)) as f32;
+                if n > 0 {
+                    let at = (down * HALF + row) * TILE + across * HALF + column;
+                    coarse[at * bands + band] = (sum / f64::from(n)) as f32;
+                }
             }
         }
     }
@@ -381,8 +399,8 @@ mod tests {
 
     fn grid(columns: u32, rows: u32) -> RasterGrid {
         let crs_wkt = Some(wavex_geodesy::crs::wkt_of_epsg(32633).unwrap());
-        let description = "height <m> & more".to_owned();
-        RasterGrid { columns, rows, west: 320_000.0, north: 5_300_600.0, cell: 2.0, crs_wkt, description }
+        let bands = vec!["height <m> & more".to_owned()];
+        RasterGrid { columns, rows, west: 320_000.0, north: 5_300_600.0, cell: 2.0, crs_wkt, bands }
     }
 
     /// A raster of 600 by 300 cells; cell (row, column) has the value 1000 row + column.
@@ -423,6 +441,39 @@ mod tests {
         decoder.next_image().unwrap();
         assert_eq!(decoder.dimensions().unwrap(), (150, 75));
         assert!(!decoder.more_images());
+    }
+
+    /// Bands of a cell follow each other, and have overviews of their own.
+    #[test]
+    fn an_independent_reader_reads_several_bands() {
+        let bands = vec!["height, m".to_owned(), "SD <m>".to_owned(), "points".to_owned()];
+        let mut writer = RasterWriter::new(RasterGrid { bands, ..grid(300, 200) }, Vec::new());
+        for column in 0..2 {
+            let mut tile = empty_tile_of(3);
+            for y in 0..200 {
+                for x in 0..TILE.min(300 - column * TILE) {
+                    let cell = &mut tile[(y * TILE + x) * 3..][..3];
+                    cell.copy_from_slice(&[(column * TILE + x) as f32, y as f32, -1.0]);
+                }
+            }
+            // A cell without data in one band.
+            tile[1] = NO_DATA;
+            writer.tile(0, column as u32, tile).unwrap();
+        }
+        assert!(writer.tile(0, 1, empty_tile()).is_err(), "a tile of one band");
+        let (spool, raster) = writer.finish().unwrap();
+        let mut file = Vec::new();
+        raster.assemble(&mut Cursor::new(spool), &mut file).unwrap();
+        let mut decoder = Decoder::new(Cursor::new(file)).unwrap();
+        assert_eq!(decoder.get_tag_u16_vec(Tag::ExtraSamples).unwrap(), [0, 0]);
+        let metadata = decoder.get_tag_ascii_string(Tag::Unknown(42112)).unwrap();
+        assert!(metadata.contains("sample=\"1\" role=\"description\">SD &lt;m></Item>"), "{metadata}");
+        let DecodingResult::F32(values) = decoder.read_chunk(1).unwrap() else { panic!() };
+        assert_eq!(values[3..9], [257.0, 0.0, -1.0, 258.0, 0.0, -1.0]);
+        decoder.next_image().unwrap();
+        let DecodingResult::F32(values) = decoder.read_chunk(0).unwrap() else { panic!() };
+        // The mean of three cells where one has no data.
+        assert_eq!(values[..6], [0.5, 2.0 / 3.0, -1.0, 2.5, 0.5, -1.0]);
     }
 
     /// Overviews come before the raster, so that a reader finds them near the directories.

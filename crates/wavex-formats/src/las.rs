@@ -52,7 +52,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod checked;
 mod chunks;
+mod classified;
 mod contained;
 mod copc;
 mod description;
@@ -76,6 +78,8 @@ mod totals;
 mod vlr;
 mod writer;
 
+pub use checked::CheckedFile;
+pub use classified::{ClassifiedCopy, write_classified};
 pub use copc::{CopcSummary, Keep, ProgressObserver, write_copc};
 pub use description::LasDescription;
 pub use descriptor::PacketDescriptor;

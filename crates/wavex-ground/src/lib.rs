@@ -1,4 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![warn(unreachable_pub)]
 
+pub mod filter;
 pub mod point;
+pub mod rays;
+pub mod terrain;

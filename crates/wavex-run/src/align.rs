@@ -381,7 +381,7 @@ fn write(
     published.collect::<Result<_, _>>().map_err(|error| Failure::Run(error.to_string()))
 }
 
-fn finished(path: &Path, text: &str) -> Result<FinishedFile, Failure> {
+pub(crate) fn finished(path: &Path, text: &str) -> Result<FinishedFile, Failure> {
     let failed = |error: Error| Failure::Run(error.to_string());
     let mut file = OutputFile::create(path).map_err(failed)?;
     file.write_all(text.as_bytes()).map_err(|error| failed(Error::io(path, "write")(error)))?;

@@ -394,8 +394,8 @@ fn maps(add: &mut Add) {
     add("geoid", "gtx", big);
     add("geoid", "ngs", little);
     let crs_wkt = wkt_of_epsg(32633);
-    let description = "heights".to_owned();
-    let grid = RasterGrid { columns: 5, rows: 4, west: 0.0, north: 0.0, cell: 1.0, crs_wkt, description };
+    let bands = vec!["heights".to_owned()];
+    let grid = RasterGrid { columns: 5, rows: 4, west: 0.0, north: 0.0, cell: 1.0, crs_wkt, bands };
     let mut writer = RasterWriter::new(grid, Vec::new());
     let mut tile = empty_tile();
     tile.iter_mut().step_by(256).take(4).for_each(|value| *value = 100.0);

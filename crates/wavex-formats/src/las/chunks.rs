@@ -17,7 +17,7 @@ use super::header::LasHeader;
 use super::point::PointLayout;
 use super::vlr::Vlr;
 use crate::bytes::Fields;
-use crate::{Error, Result, resize};
+use crate::{Error, Result, regular_file, resize};
 
 type ChunkDecoder = Box<dyn RecordDecompressor<Cursor<Vec<u8>>> + Send + Sync>;
 
@@ -54,6 +54,8 @@ pub(super) struct Chunks {
     started: usize,
     /// Offset of the first chunk in the file.
     start: u64,
+    /// Offset of the chunk table in the file; that of the first chunk if there is none.
+    table_at: u64,
     /// Offset of the current chunk in the file.
     at: u64,
     /// Offset of the next chunk in the file.
@@ -91,12 +93,15 @@ impl Chunks {
         let laz = parse_vlr(path, header, vlr)?;
         let layered = Fields::new(path, vlr.offset, &vlr.data).u16("compressor")? == LAYERED;
         let layers = layered.then(|| laz.items().iter().map(|item| n_layers(item.item_type())).sum());
-        let table = match read_table(&file, path, header, &laz, file_length) {
-            // Writers leave the table of an empty file out.
-            Err(_) if header.n_points == 0 => Vec::new(),
-            table => with_counts(table?, path, header, &laz)?,
-        };
         let start = u64::from(header.offset_to_points) + ChunkTable::OFFSET_SIZE as u64;
+        let (table_at, table) = match read_table(&file, path, header, &laz, file_length) {
+            // Writers leave the table of an empty file out.
+            Err(_) if header.n_points == 0 => (start, Vec::new()),
+            table => {
+                let (table_at, table) = table?;
+                (table_at, with_counts(table, path, header, &laz)?)
+            }
+        };
         Ok(Chunks {
             file,
             path: path.to_path_buf(),
@@ -106,6 +111,7 @@ impl Chunks {
             table,
             started: 0,
             start,
+            table_at,
             at: start,
             next_at: start,
             left: 0,
@@ -164,6 +170,54 @@ impl Chunks {
         Ok(())
     }
 
+    /// Numbers of points of the chunks.
+    pub(super) fn n_points(&self) -> impl Iterator<Item = u64> {
+        self.table.iter().map(|chunk| chunk.points)
+    }
+
+    /// Offsets of the chunks in the file, with one for the end of the last.
+    pub(super) fn offsets(&self) -> Vec<u64> {
+        let ends = self.table.iter().scan(self.start, |at, chunk| {
+            *at += chunk.bytes;
+            Some(*at)
+        });
+        std::iter::once(self.start).chain(ends).collect()
+    }
+
+    /// Offset of the chunk table.
+    pub(super) fn table_at(&self) -> u64 {
+        self.table_at
+    }
+
+    /// The LASzip record.
+    pub(super) fn laz(&self) -> &LazVlr {
+        &self.laz
+    }
+
+    /// Whether the points are layered.
+    pub(super) fn is_layered(&self) -> bool {
+        self.layers.is_some()
+    }
+
+    /// Checks the sizes at the start of each layered chunk.
+    ///
+    /// # Errors
+    /// The file cannot be read, or a chunk has other sizes than the table.
+    pub(super) fn check_heads(&self) -> Result<()> {
+        let Some(layers) = self.layers else { return Ok(()) };
+        let failed = Error::io(&self.path, "read the compressed points");
+        let mut file = regular_file(&self.path)?;
+        let length = (self.record_length + 4 + 4 * layers) as u64;
+        let mut head = Vec::new();
+        for (chunk, at) in self.table.iter().zip(self.offsets()).filter(|(chunk, _)| chunk.points > 0) {
+            head.clear();
+            file.seek(SeekFrom::Start(at)).map_err(&failed)?;
+            (&mut file).take(length.min(chunk.bytes)).read_to_end(&mut head).map_err(&failed)?;
+            self.check_layers((&head, at), chunk.bytes, layers, chunk.points)?;
+        }
+        Ok(())
+    }
+
     fn start_chunk(&mut self) -> Result<()> {
         let Some(&ChunkSize { bytes: length, points }) = self.table.get(self.started) else {
             return Err(self.damaged("the chunks hold fewer points than the header declares"));
@@ -182,7 +236,7 @@ impl Chunks {
             .and_then(|_| self.file.read_exact(&mut bytes));
         read.map_err(Error::io(&self.path, "read the compressed points"))?;
         if let Some(layers) = self.layers {
-            self.check_layers(&bytes, layers, points)?;
+            self.check_layers((&bytes, self.at), length, layers, points)?;
         }
         let input = Cursor::new(bytes);
         let mut decoder: ChunkDecoder = match self.layers {
@@ -197,9 +251,9 @@ impl Chunks {
 
     /// Checks a layered chunk.
     ///
-    /// First point, number of points, size of each layer, layers.
-    fn check_layers(&self, bytes: &[u8], layers: usize, points: u64) -> Result<()> {
-        let mut fields = Fields::new(&self.path, self.at, bytes);
+    /// First point, number of points, size of each layer, layers. `head` are its first bytes, at `at` of the file; it has `length`.
+    fn check_layers(&self, (head, at): (&[u8], u64), length: u64, layers: usize, points: u64) -> Result<()> {
+        let mut fields = Fields::new(&self.path, at, head);
         fields.skip(self.record_length, "first point of a chunk")?;
         let count = fields.clone();
         let stored = fields.u32("number of points of a chunk")?;
@@ -211,8 +265,9 @@ impl Chunks {
         for _ in 0..layers {
             sum += u64::from(fields.u32("size of a layer")?);
         }
-        if sum > fields.left() as u64 {
-            let problem = format!("{sum} bytes are declared, but the chunk has {}", fields.left());
+        let left = length.saturating_sub(fields.offset() - at);
+        if sum > left {
+            let problem = format!("{sum} bytes are declared, but the chunk has {left}");
             return Err(fields.bad("layers of a chunk", problem, CUT));
         }
         Ok(())
@@ -298,7 +353,7 @@ fn read_table(
     header: &LasHeader,
     laz: &LazVlr,
     file_length: u64,
-) -> Result<Vec<ChunkSize>> {
+) -> Result<(u64, Vec<ChunkSize>)> {
     let mut input = BufReader::new(file);
     let start = u64::from(header.offset_to_points) + ChunkTable::OFFSET_SIZE as u64;
     let table_at = find_table(&mut input, path, header, file_length)?;
@@ -326,7 +381,7 @@ fn read_table(
     if bytes > room {
         return Err(bad(format!("the table declares {bytes} bytes of chunks, but {room} bytes precede it")));
     }
-    Ok(chunks)
+    Ok((table_at, chunks))
 }
 
 /// Checks the number of points in the chunks against the header.

@@ -349,13 +349,20 @@ impl<'a, W: Write + Seek> CopcWriter<'a, W> {
 fn compress(laz: &LazVlr, records: &[u8]) -> io::Result<Vec<u8>> {
     contained(|| {
         let mut chunk = Cursor::new(Vec::new());
-        let mut compressor = LayeredPointRecordCompressor::new(&mut chunk);
-        compressor.set_fields_from(laz.items()).map_err(into_io)?;
-        compressor.compress_many(records)?;
-        compressor.done()?;
-        drop(compressor);
+        compress_with(LayeredPointRecordCompressor::new(&mut chunk), laz, records)?;
         Ok(chunk.into_inner())
     })
+}
+
+/// Compresses all records of a chunk.
+pub(super) fn compress_with<W>(
+    mut compressor: impl RecordCompressor<W>,
+    laz: &LazVlr,
+    records: &[u8],
+) -> io::Result<()> {
+    compressor.set_fields_from(laz.items()).map_err(into_io)?;
+    compressor.compress_many(records)?;
+    compressor.done()
 }
 
 /// Returns whether a record is invalid for reordered points without waveforms.

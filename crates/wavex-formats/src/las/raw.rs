@@ -5,6 +5,7 @@
 use std::io::BufReader;
 use std::path::Path;
 
+use super::chunks::Chunks;
 use super::description::LasDescription;
 use super::extra_bytes::ExtraBytes;
 use super::header::LasHeader;
@@ -88,6 +89,11 @@ impl RawPoints {
     /// Undocumented bytes are omitted.
     pub fn fields(&self) -> &[RawField] {
         &self.fields
+    }
+
+    /// The compressed points; `None` if they are not compressed.
+    pub(super) fn compressed(&self) -> Option<&Chunks> {
+        self.records.compressed()
     }
 
     /// Returns the next point record; `None` after the last.

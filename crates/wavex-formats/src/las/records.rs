@@ -55,6 +55,14 @@ impl RecordReader {
         Ok(RecordReader { source, record_length, count, left: count, slab: Vec::new(), at: 0 })
     }
 
+    /// The compressed points; `None` if they are not compressed.
+    pub(super) fn compressed(&self) -> Option<&Chunks> {
+        match &self.source {
+            RecordSource::Compressed(chunks) => Some(chunks),
+            RecordSource::Plain(..) => None,
+        }
+    }
+
     /// See [`Reader::skip_unused_fields`](super::Reader::skip_unused_fields).
     pub(super) fn skip_unused_fields(&mut self) {
         if let RecordSource::Compressed(chunks) = &mut self.source {

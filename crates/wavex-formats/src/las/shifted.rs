@@ -21,9 +21,9 @@ use crate::{Error, Result, regular_file};
 /// Offset of the bounding box in the header.
 const BOUNDS_AT: usize = 179;
 /// Offset of the start of the waveform packet record in the header, from LAS 1.3 on.
-const WAVEFORMS_AT: usize = 227;
+pub(super) const WAVEFORMS_AT: usize = 227;
 /// Offset of the start of the first extended record in the header, from LAS 1.4 on.
-const EVLRS_AT: usize = 235;
+pub(super) const EVLRS_AT: usize = 235;
 /// Record ID of a record that is to be ignored (LAS 1.4 R15, "Superseded").
 const SUPERSEDED: u16 = 7;
 /// Points of a chunk if the source has chunks of variable size.
@@ -212,7 +212,7 @@ fn finish(
 }
 
 /// Marks the record whose header begins at `at` as superseded.
-fn supersede(bytes: &mut [u8], at: u64) {
+pub(super) fn supersede(bytes: &mut [u8], at: u64) {
     let at = at as usize;
     if let Some(name) = bytes.get_mut(at + 2..at + 20) {
         name.fill(0);

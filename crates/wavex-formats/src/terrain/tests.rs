@@ -186,7 +186,7 @@ fn a_tiled_geotiff_has_its_heights_in_place() {
         north: 220.0,
         cell: 10.0,
         crs_wkt: None,
-        description: String::new(),
+        bands: vec![String::new()],
     };
     let height = |column: usize, row: usize| (column + 1000 * row) as f32 / 128.0;
     let mut writer = RasterWriter::new(grid, Cursor::new(Vec::new()));

@@ -18,6 +18,9 @@ use wavex_line::stage::{FinishedFile, OutputFile};
 
 use super::{REPORT_FILE, finished};
 
+pub(crate) use files::{check_system, is_cloud, list};
+pub(crate) use frame::system_of;
+
 mod estimate;
 mod files;
 mod frame;

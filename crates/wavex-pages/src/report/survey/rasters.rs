@@ -63,7 +63,7 @@ impl RasterFrame {
             north: (f64::from(self.north) + 1.0) * self.cell,
             cell: self.cell,
             crs_wkt: self.crs_wkt.clone(),
-            description: description.to_owned(),
+            bands: vec![description.to_owned()],
         }
     }
 }

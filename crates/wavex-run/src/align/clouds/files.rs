@@ -81,7 +81,7 @@ pub(super) struct ReadSettings<'a> {
 ///
 /// # Errors
 /// Nothing is found, or two files have the same name.
-pub(super) fn list(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+pub(crate) fn list(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     let mut names = Vec::new();
     for input in inputs {
         if !input.is_dir() {
@@ -114,7 +114,7 @@ pub(super) fn list(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 }
 
 /// Whether a path has the extension of a cloud of points.
-pub(super) fn is_cloud(path: &Path) -> bool {
+pub(crate) fn is_cloud(path: &Path) -> bool {
     let extension = path.extension().unwrap_or_default();
     ["las", "laz"].iter().any(|known| extension.eq_ignore_ascii_case(known))
 }
@@ -321,6 +321,31 @@ struct Made {
     counts: PatchCounts,
 }
 
+/// Checks that the coordinate reference system of a cloud at `place` is the first one, that of the file `of`.
+///
+/// # Errors
+/// It is another one: problem and remedy.
+pub(crate) fn check_system(
+    path: &Path,
+    (own, first): (Option<&str>, Option<&str>),
+    of: &Path,
+    place: [f64; 3],
+) -> Result<(), String> {
+    let (Some(own), Some(first)) = (own, first) else { return Ok(()) };
+    let is_other = units_of_wkt(own) != units_of_wkt(first) || are_contradictory(own, first, place);
+    if !is_other {
+        return Ok(());
+    }
+    let name = |wkt: &str| wkt.split('"').nth(1).unwrap_or("an unnamed system").to_owned();
+    Err(format!(
+        "{}: its coordinate reference system is {}, that of {} is {}; convert all clouds to one system",
+        path.display(),
+        name(own),
+        of.display(),
+        name(first)
+    ))
+}
+
 /// Whether a point may be on solid surface.
 fn is_usable(point: &Point) -> bool {
     !(point.withheld || point.synthetic || NOT_SURFACE.contains(&point.classification))
@@ -392,20 +417,7 @@ impl Scan {
 
     /// Checks the coordinate reference system against that of the first file.
     fn check_system(&self, path: &Path, first: Option<&str>, of: &Path) -> Result<(), String> {
-        let (Some(own), Some(first)) = (&self.wkt, first) else { return Ok(()) };
-        let is_other =
-            units_of_wkt(own) != units_of_wkt(first) || are_contradictory(own, first, self.frame.origin);
-        if !is_other {
-            return Ok(());
-        }
-        let name = |wkt: &str| wkt.split('"').nth(1).unwrap_or("an unnamed system").to_owned();
-        Err(format!(
-            "{}: its coordinate reference system is {}, that of {} is {}; convert all clouds to one system",
-            path.display(),
-            name(own),
-            of.display(),
-            name(first)
-        ))
+        check_system(path, (self.wkt.as_deref(), first), of, self.frame.origin)
     }
 
     /// Reads a file again, for the patches of its strips in the order of their IDs.

@@ -101,18 +101,18 @@ pub(super) fn trajectory(
 }
 
 /// Units of a file's coordinates.
-pub(super) struct System {
+pub(crate) struct System {
     /// Lengths of the units of x and y, and of z, m.
-    pub(super) units_m: [f64; 2],
+    pub(crate) units_m: [f64; 2],
     /// What a user should know.
-    pub(super) note: Option<String>,
+    pub(crate) note: Option<String>,
 }
 
 /// Units of the coordinates of a file.
 ///
 /// # Errors
 /// Coordinates are degrees or earth-centred: problem and remedy.
-pub(super) fn system_of(path: &Path, wkt: Option<&str>, header: &LasHeader) -> Result<System, String> {
+pub(crate) fn system_of(path: &Path, wkt: Option<&str>, header: &LasHeader) -> Result<System, String> {
     let of = |problem: &str| Err(format!("{}: {problem}", path.display()));
     let degrees = "its coordinates are degrees; project the clouds to a system in metres, such as UTM";
     let is_projected = wkt.is_some_and(|wkt| wkt.contains("PROJCS") || wkt.contains("PROJCRS"));

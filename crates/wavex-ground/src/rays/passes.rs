@@ -1,0 +1,145 @@
+//! Beams that pass through the places of objects.
+
+use rayon::prelude::*;
+
+use super::objects::{Cells, Objects};
+use crate::point::CloudPoint;
+
+/// Thickness of a layer of places, m.
+const LAYER_M: f64 = 8.0;
+/// Most points that stand for an object.
+const MOST_PLACES: usize = 256;
+/// Width of the cells in which places are looked up, m.
+const CELL_M: f64 = 8.0;
+/// Beams that are more inclined are not followed: tangent of the angle from the vertical.
+const MOST_INCLINED: f64 = 3.0;
+
+/// Beams that ended in an object, and beams that passed through its places.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Evidence {
+    pub(super) hits: u32,
+    pub(super) passes: u32,
+    /// Beams of the hits that may have ended below.
+    own_passes: u32,
+}
+
+/// A point that stands for an object.
+struct Place {
+    position_m: [f64; 3],
+    object: usize,
+}
+
+/// Where a beam is when it is at the height `z`, m; straight up from the point if its beam is not known.
+pub(super) fn beam_at(point: &CloudPoint, z: f64) -> [f64; 2] {
+    let [x, y, below] = point.position_m;
+    let [dx, dy] = inclination(point);
+    [x + dx * (z - below), y + dy * (z - below)]
+}
+
+/// Horizontal way of a beam per height.
+fn inclination(point: &CloudPoint) -> [f64; 2] {
+    let [bx, by, bz] = point.beam.map(f64::from);
+    let inclination = [bx / bz, by / bz];
+    let is_usable = bz < 0.0 && inclination.iter().all(|part| part.abs() <= MOST_INCLINED);
+    if is_usable { inclination } else { [0.0; 2] }
+}
+
+/// Beams that hit the objects `wanted`, and beams that end in accepted objects below and passed them.
+pub(super) fn passes(
+    points: &[CloudPoint],
+    objects: &Objects,
+    wanted: &[usize],
+    is_accepted: &[bool],
+) -> Vec<Evidence> {
+    let mut evidence = vec![Evidence::default(); wanted.len()];
+    if wanted.is_empty() {
+        return evidence;
+    }
+    let radius_m = 1.5 * objects.scale_m;
+    let mut places: Vec<Place> = Vec::new();
+    // Wanted object of each point; or that its beam ends below.
+    let mut ends: Vec<(usize, Option<usize>)> = Vec::new();
+    for (object, &at) in wanted.iter().enumerate() {
+        let object_points: Vec<usize> = objects.points_of(&objects.list[at]).collect();
+        let step = object_points.len().div_ceil(MOST_PLACES).max(1);
+        // By position: the order of points has no effect.
+        let mut positions: Vec<[f64; 3]> = object_points.iter().map(|&at| points[at].position_m).collect();
+        positions
+            .sort_by(|a, b| a[2].total_cmp(&b[2]).then(a[0].total_cmp(&b[0])).then(a[1].total_cmp(&b[1])));
+        places.extend(positions.into_iter().step_by(step).map(|position_m| Place { position_m, object }));
+        ends.extend(object_points.into_iter().map(|at| (at, Some(object))));
+    }
+    for (_, object) in objects.list.iter().enumerate().filter(|(at, _)| is_accepted[*at]) {
+        ends.extend(objects.points_of(object).filter(|&p| points[p].may_be_last()).map(|p| (p, None)));
+    }
+    places.sort_by(|a, b| a.position_m[2].total_cmp(&b.position_m[2]).then(a.object.cmp(&b.object)));
+    let layer = |place: &Place| (place.position_m[2] / LAYER_M).floor();
+    let layers: Vec<&[Place]> = places.chunk_by(|a, b| layer(a) == layer(b)).collect();
+    let counted: Vec<Vec<(usize, Evidence)>> =
+        layers.par_iter().map(|places| in_layer(points, places, &ends, radius_m)).collect();
+    for (object, seen) in counted.into_iter().flatten() {
+        evidence[object].hits += seen.hits;
+        evidence[object].passes += seen.passes.saturating_sub(seen.own_passes);
+    }
+    evidence
+}
+
+/// Evidence of the beams through the places of a layer.
+fn in_layer(
+    points: &[CloudPoint],
+    places: &[Place],
+    ends: &[(usize, Option<usize>)],
+    radius_m: f64,
+) -> Vec<(usize, Evidence)> {
+    let middle_m = ((places[0].position_m[2] / LAYER_M).floor() + 0.5) * LAYER_M;
+    let mut cells: Cells<Vec<usize>> = Cells::default();
+    for (at, place) in places.iter().enumerate() {
+        let [x, y, _] = place.position_m;
+        // A beam that is near a place is in its cell or a neighbouring one when it is in the layer's middle,
+        // except for strongly inclined beams.
+        let reach_m = radius_m + 0.5 * LAYER_M;
+        let index = |x: f64| (x / CELL_M).floor() as i64;
+        for i in index(x - reach_m)..=index(x + reach_m) {
+            for j in index(y - reach_m)..=index(y + reach_m) {
+                cells.entry(cell_key(i, j)).or_default().push(at);
+            }
+        }
+    }
+    let mut evidence: Vec<(usize, Evidence)> = Vec::new();
+    let mut of_object: Cells<usize> = Cells::default();
+    let mut seen: Vec<usize> = Vec::new();
+    for &(end, own) in ends {
+        let point = &points[end];
+        let [x, y] = beam_at(point, middle_m);
+        let Some(near) = cells.get(&cell_key((x / CELL_M).floor() as i64, (y / CELL_M).floor() as i64))
+        else {
+            continue;
+        };
+        seen.clear();
+        for &at in near {
+            let Place { position_m: [px, py, pz], object } = places[at];
+            let is_end_below = own.map_or(point.position_m[2] < pz - radius_m.max(1.0), |own| own == object);
+            let [bx, by] = beam_at(point, pz);
+            let is_near = (bx - px) * (bx - px) + (by - py) * (by - py) <= radius_m * radius_m;
+            if is_end_below && is_near && !seen.contains(&object) {
+                seen.push(object);
+                let at = *of_object.entry(object as u64).or_insert_with(|| {
+                    evidence.push((object, Evidence::default()));
+                    evidence.len() - 1
+                });
+                let counts = &mut evidence[at].1;
+                // The last return of a shot that hit the object is among the passes.
+                match own {
+                    Some(_) if point.may_be_last() => counts.hits += 1,
+                    Some(_) => (counts.hits, counts.own_passes) = (counts.hits + 1, counts.own_passes + 1),
+                    None => counts.passes += 1,
+                }
+            }
+        }
+    }
+    evidence
+}
+
+fn cell_key(i: i64, j: i64) -> u64 {
+    (i as u64) << 32 | (j as u64 & 0xffff_ffff)
+}

@@ -1,0 +1,320 @@
+//! Points of all clouds by tiles, and their classification tile by tile.
+
+use std::collections::BTreeSet;
+use std::io;
+use std::path::Path;
+
+use rayon::prelude::*;
+use wavex_ground::filter::{GroundSettings, OVERLAP_M, TILE_M, classify_ground};
+use wavex_ground::point::{Class, CloudPoint};
+
+use super::spool::{Spool, SpoolWriter};
+
+/// Most points that are classified together.
+///
+/// A tile with its margin that has more is divided into parts by a hash of the points' coordinates, and each part is
+/// classified alone. 12 points per m² of a tile remain, which is denser than the cells of the filter need.
+const MOST_POINTS: u64 = 6_000_000;
+/// Memory for each point of a tile while it is classified, bytes.
+const POINT_BYTES: u64 = 200;
+/// Points of a block of classes.
+const BLOCK_POINTS: u64 = 1 << 20;
+/// Bytes of a spooled point: cloud, index, coordinates, returns, flag, strip.
+const RECORD_BYTES: usize = 4 + 8 + 24 + 2 + 1 + 2;
+/// Bytes of a spooled class: index in its block, class.
+const CLASS_BYTES: usize = 5;
+
+/// East and north index of a tile.
+pub type Tile = [i64; 2];
+
+/// A point of a cloud: number of the cloud, and index of the point.
+type PointId = (u32, u64);
+
+/// A point for the classification.
+pub(super) struct TilePoint {
+    pub(super) point: CloudPoint,
+    /// Whether its class is written.
+    pub(super) is_classified: bool,
+    /// Class by its height alone, which is absurd; it takes no part.
+    pub(super) absurd: Option<Class>,
+}
+
+/// Points of all clouds by tiles.
+pub(super) struct Tiles<'a> {
+    pub(super) kept_classes: &'a [u8],
+    points: Spool<Tile>,
+    /// Absurd points, by cloud and block.
+    absurd: Spool<(u32, u64)>,
+}
+
+/// Tile of a position, m.
+fn tile_of(position_m: [f64; 3]) -> Tile {
+    [0, 1].map(|axis| (position_m[axis] / TILE_M).floor() as i64)
+}
+
+impl<'a> Tiles<'a> {
+    /// No points; temporary files are in `folder`.
+    pub(super) fn new(folder: &Path, kept_classes: &'a [u8]) -> io::Result<Tiles<'a>> {
+        Ok(Tiles {
+            kept_classes,
+            points: Spool::new(folder, RECORD_BYTES)?,
+            absurd: Spool::new(folder, CLASS_BYTES)?,
+        })
+    }
+
+    pub(super) fn writer(&self) -> TileWriter<'_> {
+        TileWriter { points: self.points.writer(), absurd: self.absurd.writer() }
+    }
+
+    /// Classifies all points but those of failed clouds, in bounded memory.
+    ///
+    /// `progress` gets the done part, and returns whether to continue.
+    pub(super) fn classify(
+        &self,
+        folder: &Path,
+        settings: &GroundSettings,
+        (failed, memory_mb): (&BTreeSet<u32>, u64),
+        mut progress: impl FnMut(f64) -> bool,
+    ) -> io::Result<Option<Ground>> {
+        let ground =
+            Ground { classes: Spool::new(folder, CLASS_BYTES)?, points: Spool::new(folder, RECORD_BYTES)? };
+        let mut writer = ground.classes.writer();
+        for key in self.absurd.keys() {
+            let mut result = Ok(());
+            self.absurd.read(key, |record| result = writer.push(key, record))?;
+            result?;
+        }
+        writer.finish()?;
+        let tiles = self.points.keys();
+        let n_bytes = |tile: &Tile| self.n_around(*tile).min(MOST_POINTS) * POINT_BYTES;
+        let mut done = 0;
+        while done < tiles.len() {
+            if !progress(done as f64 / tiles.len() as f64) {
+                return Ok(None);
+            }
+            let mut left = memory_mb.saturating_mul(1_000_000);
+            let fits = |tile: &&Tile| {
+                let bytes = n_bytes(tile);
+                let fits = bytes <= left;
+                left = left.saturating_sub(bytes);
+                fits
+            };
+            let batch = tiles[done..].iter().take_while(fits_or_first(fits)).count();
+            let batch = &tiles[done..done + batch];
+            batch.par_iter().try_for_each(|tile| self.classify_tile(*tile, settings, failed, &ground))?;
+            done += batch.len();
+        }
+        Ok(Some(ground))
+    }
+
+    /// Largest number of points of a tile with its margin.
+    fn n_around(&self, tile: Tile) -> u64 {
+        around(tile, OVERLAP_M).map(|tile| self.points.count(tile)).sum()
+    }
+
+    fn classify_tile(
+        &self,
+        tile: Tile,
+        settings: &GroundSettings,
+        failed: &BTreeSet<u32>,
+        ground: &Ground,
+    ) -> io::Result<()> {
+        let mut n_points = self.n_around(tile);
+        if n_points > MOST_POINTS {
+            n_points = 0;
+            self.points
+                .near(tile, OVERLAP_M, |point| n_points += u64::from(!failed.contains(&point.id.0)))?;
+        }
+        let n_parts = n_points.div_ceil(MOST_POINTS).max(1);
+        let (mut classes, mut ground_points) = (ground.classes.writer(), ground.points.writer());
+        for part in 0..n_parts {
+            let mut near = Vec::new();
+            self.points.near(tile, OVERLAP_M, |point| {
+                let is_of_part = n_parts == 1 || hash(point.point.position_m) % n_parts == part;
+                if is_of_part && !failed.contains(&point.id.0) {
+                    near.push(point);
+                }
+            })?;
+            near.sort_unstable_by_key(|point| point.id);
+            let points: Vec<CloudPoint> = near.iter().map(|near| near.point).collect();
+            for (near, class) in near.iter().zip(classes_of(&points, settings)) {
+                if tile_of(near.point.position_m) != tile {
+                    continue;
+                }
+                if class == Class::Ground {
+                    ground_points.push(tile, &near.record())?;
+                }
+                if near.is_classified {
+                    push_class(&mut classes, near.id, class)?;
+                }
+            }
+        }
+        classes.finish()?;
+        ground_points.finish()
+    }
+}
+
+/// Lets the first item pass in any case.
+fn fits_or_first<T>(mut fits: impl FnMut(&T) -> bool) -> impl FnMut(&T) -> bool {
+    let mut is_first = true;
+    move |item| fits(item) | std::mem::take(&mut is_first)
+}
+
+/// Classes of the points of a tile with its margin.
+///
+/// Points that a model of noise marks go here, before the ground.
+fn classes_of(points: &[CloudPoint], settings: &GroundSettings) -> Vec<Class> {
+    classify_ground(points, settings)
+}
+
+/// Tiles within this distance of a tile, itself first.
+fn around(tile: Tile, margin_m: f64) -> impl Iterator<Item = Tile> {
+    let n = (margin_m / TILE_M).ceil() as i64;
+    (-n..=n).flat_map(move |east| (-n..=n).map(move |north| [tile[0] + east, tile[1] + north]))
+}
+
+/// Number that depends on the coordinates only.
+fn hash(position_m: [f64; 3]) -> u64 {
+    position_m.iter().fold(0, |state, value| {
+        let mixed = (state ^ value.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        mixed ^ mixed >> 29
+    })
+}
+
+fn push_class(
+    writer: &mut SpoolWriter<'_, (u32, u64)>,
+    (cloud, index): PointId,
+    class: Class,
+) -> io::Result<()> {
+    let [a, b, c, d] = ((index % BLOCK_POINTS) as u32).to_le_bytes();
+    writer.push((cloud, index / BLOCK_POINTS), &[a, b, c, d, class as u8])
+}
+
+/// Writer of the points of one cloud.
+pub(super) struct TileWriter<'a> {
+    points: SpoolWriter<'a, Tile>,
+    absurd: SpoolWriter<'a, (u32, u64)>,
+}
+
+impl TileWriter<'_> {
+    pub(super) fn push(&mut self, id: PointId, point: &TilePoint) -> io::Result<()> {
+        match point.absurd {
+            Some(class) if point.is_classified => push_class(&mut self.absurd, id, class),
+            Some(_) => Ok(()),
+            None => {
+                let spooled = Spooled { id, is_classified: point.is_classified, point: point.point };
+                self.points.push(tile_of(point.point.position_m), &spooled.record())
+            }
+        }
+    }
+
+    pub(super) fn finish(self) -> io::Result<()> {
+        self.points.finish()?;
+        self.absurd.finish()
+    }
+}
+
+/// A spooled point.
+struct Spooled {
+    id: PointId,
+    is_classified: bool,
+    point: CloudPoint,
+}
+
+impl Spooled {
+    fn record(&self) -> [u8; RECORD_BYTES] {
+        let mut record = [0; RECORD_BYTES];
+        record[..4].copy_from_slice(&self.id.0.to_le_bytes());
+        record[4..12].copy_from_slice(&self.id.1.to_le_bytes());
+        for (bytes, value) in record[12..36].chunks_exact_mut(8).zip(self.point.position_m) {
+            bytes.copy_from_slice(&value.to_le_bytes());
+        }
+        record[36] = self.point.return_number;
+        record[37] = self.point.n_returns;
+        record[38] = u8::from(self.is_classified);
+        record[39..].copy_from_slice(&self.point.strip.to_le_bytes());
+        record
+    }
+
+    fn of(record: &[u8]) -> Option<Spooled> {
+        let (cloud, rest) = record.split_first_chunk()?;
+        let (index, rest) = rest.split_first_chunk()?;
+        let (places, rest) = rest.split_at_checked(24)?;
+        let [return_number, n_returns, is_classified, low, high] = *rest.first_chunk()?;
+        let (places, _) = places.as_chunks();
+        let position_m = <[[u8; 8]; 3]>::try_from(places).ok()?.map(f64::from_le_bytes);
+        let strip = u16::from_le_bytes([low, high]);
+        Some(Spooled {
+            id: (u32::from_le_bytes(*cloud), u64::from_le_bytes(*index)),
+            is_classified: is_classified != 0,
+            point: CloudPoint { return_number, n_returns, strip, ..CloudPoint::at(position_m) },
+        })
+    }
+}
+
+impl Spool<Tile> {
+    /// Gives all points within `margin_m` of a tile.
+    fn near(&self, tile: Tile, margin_m: f64, mut each: impl FnMut(Spooled)) -> io::Result<()> {
+        let is_near = |point: &Spooled| {
+            (0..2).all(|axis| {
+                let from_m = point.point.position_m[axis] - tile[axis] as f64 * TILE_M;
+                (-margin_m..=TILE_M + margin_m).contains(&from_m)
+            })
+        };
+        around(tile, margin_m).try_for_each(|other| {
+            self.read(other, |record| Spooled::of(record).filter(is_near).into_iter().for_each(&mut each))
+        })
+    }
+}
+
+/// Classes of all points, and the ground points.
+pub(super) struct Ground {
+    classes: Spool<(u32, u64)>,
+    points: Spool<Tile>,
+}
+
+impl Ground {
+    /// Classes of the block of a cloud that has this point.
+    pub(super) fn block(&self, cloud: u32, index: u64) -> io::Result<ClassBlock> {
+        let number = index / BLOCK_POINTS;
+        let mut classes = vec![0; BLOCK_POINTS as usize];
+        self.classes.read((cloud, number), |record| {
+            let Some((at, [class])) = record.split_first_chunk() else { return };
+            let place = classes.get_mut(u32::from_le_bytes(*at) as usize);
+            place.into_iter().for_each(|place| *place = *class);
+        })?;
+        Ok(ClassBlock { number: Some(number), classes })
+    }
+
+    /// Tiles with ground.
+    pub(super) fn tiles(&self) -> Vec<Tile> {
+        self.points.keys()
+    }
+
+    /// Ground points within `margin_m` of a tile, in an order that depends on the clouds only.
+    pub(super) fn points(&self, tile: Tile, margin_m: f64) -> io::Result<Vec<CloudPoint>> {
+        let mut near = Vec::new();
+        self.points.near(tile, margin_m, |point| near.push(point))?;
+        near.sort_unstable_by_key(|point| point.id);
+        Ok(near.into_iter().map(|near| near.point).collect())
+    }
+}
+
+/// New classes of consecutive points of a cloud.
+#[derive(Default)]
+pub(super) struct ClassBlock {
+    number: Option<u64>,
+    /// 0: the class stays.
+    classes: Vec<u8>,
+}
+
+impl ClassBlock {
+    pub(super) fn has(&self, index: u64) -> bool {
+        self.number == Some(index / BLOCK_POINTS)
+    }
+
+    /// New class of a point of the block; `None` if it stays.
+    pub(super) fn class(&self, index: u64) -> Option<u8> {
+        self.classes.get((index % BLOCK_POINTS) as usize).copied().filter(|class| *class != 0)
+    }
+}
