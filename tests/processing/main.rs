@@ -10,6 +10,7 @@
 mod agc;
 mod align;
 mod align_clouds;
+mod classify_stage;
 mod false_alarms;
 mod footprint_models;
 mod from_returns;

@@ -14,8 +14,6 @@ const FEWEST_CELLS: usize = 8;
 const SPREADS: f64 = 4.0;
 /// Smallest spread, m.
 const LEAST_SPREAD_M: f64 = 0.1;
-/// Quadrants around the crossing of a beam that have points of the surface.
-const QUADRANTS: u32 = 3;
 
 /// Plane of the lowest points around a cell.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +46,8 @@ pub(super) struct LowSurface {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Offset {
     above_m: f64,
+    spread_m: f64,
+    /// Depth from which a point is below the surface, m.
     depth_m: f64,
 }
 
@@ -55,6 +55,11 @@ impl Offset {
     /// Whether the point is clearly below the surface.
     pub(super) fn is_below(self) -> bool {
         self.above_m < -self.depth_m
+    }
+
+    /// Whether the point is lower than most of the surface.
+    pub(super) fn is_lower(self) -> bool {
+        self.above_m < -self.spread_m.max(1.0)
     }
 
     /// Whether the point is a point of the surface.
@@ -102,26 +107,27 @@ impl LowSurface {
     pub(super) fn offset(&self, position_m: [f64; 3]) -> Option<Offset> {
         let plane = self.plane_at(position_m)?;
         let above_m = position_m[2] - plane.height_at(position_m[0], position_m[1]);
-        Some(Offset { above_m, depth_m: self.depth_m.max(SPREADS * plane.spread_m) })
+        let spread_m = plane.spread_m;
+        Some(Offset { above_m, spread_m, depth_m: self.depth_m.max(SPREADS * plane.spread_m) })
     }
 
-    /// Whether the beam to a point crosses the surface where other beams have met it on most sides.
-    pub(super) fn is_crossed_surface(
+    /// Number of quadrants around the place at which the beam to a point crosses the surface where other beams have met it.
+    pub(super) fn quadrants_crossed(
         &self,
         points: &[CloudPoint],
         objects: &Objects,
         point: &CloudPoint,
-    ) -> bool {
+    ) -> u32 {
         let mut crossing_m = point.position_m;
         for _ in 0..3 {
-            let Some(plane) = self.plane_at(crossing_m) else { return false };
+            let Some(plane) = self.plane_at(crossing_m) else { return 0 };
             let height_m = plane.height_at(crossing_m[0], crossing_m[1]);
             let [x, y] = beam_at(point, height_m);
             crossing_m = [x, y, height_m];
         }
-        let Some(plane) = self.plane_at(crossing_m) else { return false };
+        let Some(plane) = self.plane_at(crossing_m) else { return 0 };
         let [x, y, z] = crossing_m;
-        let band_m = (1.0 + 1.5 * plane.spread_m).min(4.0);
+        let band_m = (1.0 + 1.5 * plane.spread_m).min(10.0);
         // Points of a low cluster are no surface.
         let least_m = -band_m.min(0.5 * self.offset(point.position_m).map_or(0.0, |offset| -offset.above_m));
         let reach_m = (2.0 * self.scale_m).max(1.5);
@@ -137,7 +143,37 @@ impl LowSurface {
                 quadrants |= 1 << (u32::from(dx > 0.0) * 2 + u32::from(dy > 0.0));
             }
         }
-        quadrants.count_ones() >= QUADRANTS
+        quadrants.count_ones()
+    }
+
+    /// Whether a point is alone below the surface: all points around are above it, on all sides.
+    ///
+    /// Finds multipath on terraces and in valleys, where planes are less certain than the points near by.
+    pub(super) fn is_alone_below(
+        &self,
+        points: &[CloudPoint],
+        objects: &Objects,
+        position_m: [f64; 3],
+    ) -> bool {
+        if !self.offset(position_m).is_some_and(|offset| offset.above_m < -self.depth_m) {
+            return false;
+        }
+        let [x, y, z] = position_m;
+        let reach_m = (2.0 * self.scale_m).max(1.5);
+        let low_m = [x - reach_m, y - reach_m, z - objects.step_m];
+        let high_m = [x + reach_m, y + reach_m, z + 3.0 * objects.step_m];
+        let mut quadrants = 0u32;
+        let mut n_below = 0;
+        for other in objects.points_in(low_m, high_m) {
+            let [ox, oy, oz] = points[other].position_m;
+            let (dx, dy) = (ox - x, oy - y);
+            if dx * dx + dy * dy <= reach_m * reach_m {
+                n_below += u32::from(oz < z + 0.8 * self.depth_m);
+                quadrants |= 1 << (u32::from(dx > 0.0) * 2 + u32::from(dy > 0.0));
+            }
+        }
+        // The point is one of those that are not above it.
+        n_below == 1 && quadrants == 0b1111
     }
 
     fn plane_at(&self, position_m: [f64; 3]) -> Option<&Plane> {

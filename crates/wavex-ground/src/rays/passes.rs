@@ -19,8 +19,8 @@ const MOST_INCLINED: f64 = 3.0;
 pub(super) struct Evidence {
     pub(super) hits: u32,
     pub(super) passes: u32,
-    /// Beams of the hits that may have ended below.
-    own_passes: u32,
+    /// Hits of beams that went on.
+    pub(super) partial_hits: u32,
 }
 
 /// A point that stands for an object.
@@ -79,7 +79,8 @@ pub(super) fn passes(
         layers.par_iter().map(|places| in_layer(points, places, &ends, radius_m)).collect();
     for (object, seen) in counted.into_iter().flatten() {
         evidence[object].hits += seen.hits;
-        evidence[object].passes += seen.passes.saturating_sub(seen.own_passes);
+        evidence[object].partial_hits += seen.partial_hits;
+        evidence[object].passes += seen.passes.saturating_sub(seen.partial_hits);
     }
     evidence
 }
@@ -131,7 +132,9 @@ fn in_layer(
                 // The last return of a shot that hit the object is among the passes.
                 match own {
                     Some(_) if point.may_be_last() => counts.hits += 1,
-                    Some(_) => (counts.hits, counts.own_passes) = (counts.hits + 1, counts.own_passes + 1),
+                    Some(_) => {
+                        (counts.hits, counts.partial_hits) = (counts.hits + 1, counts.partial_hits + 1)
+                    }
                     None => counts.passes += 1,
                 }
             }
