@@ -22,7 +22,8 @@ use surface::Envelope;
 pub struct NoiseSettings {
     /// Smallest length of a step between two points of an object, m; larger where points are sparse.
     pub step_m: f64,
-    /// Free height below an object, m, from which it is noise if beams pass through it.
+    /// Free height below an object, m, from which it is noise if beams pass through it; twice this height if beams are not
+    /// known.
     pub free_air_m: f64,
     /// Free height below an object, m, from which it is noise in any case; also the depth of objects below the
     /// surface.
@@ -44,6 +45,8 @@ const BIRDS: usize = 30;
 /// Points of walls are within this distance of the vertical below a roof, m, and within this height.
 const COVER_M: f64 = 1.5;
 const HOUSE_M: f64 = 150.0;
+/// More points than a cluster of low noise has.
+const SURFACE: usize = 2000;
 /// Largest extent of a bird or a dense flock, m.
 const BIRD_M: f64 = 2.5;
 /// Fewest points of a wire or a mast far above the ground.
@@ -77,23 +80,26 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
     // Whether an object is below all others around.
     let mut is_separate = vec![false; objects.list.len()];
     let mut doubtful = Vec::new();
+    // Without beams, the shadows of high objects are not below them.
+    let has_beams = points.iter().any(|point| point.beam[2] < 0.0);
+    let free_air_m = settings.free_air_m * if has_beams { 1.0 } else { 2.0 };
     for &at in &order {
         let object = &objects.list[at];
         let place = envelope.place_of(object);
-        let is_near = place.above_m <= settings.free_air_m;
+        let is_near = place.above_m <= free_air_m;
         let is_thin = object.is_thin(objects.step_m) && (is_near || object.n_points >= WIRE);
         let is_small = object.n_points <= BIRDS && place.above_m > objects.step_m;
         match place.above_m {
             above_m if above_m > settings.isolated_m || place.below_m > settings.isolated_m => continue,
             _ if is_thin => {}
-            above_m if above_m > settings.free_air_m || is_small => {
+            above_m if above_m > free_air_m || is_small => {
                 doubtful.push((at, place.above_m));
                 continue;
             }
             _ => {}
         }
         is_accepted[at] = true;
-        is_separate[at] = place.below_m > objects.step_m;
+        is_separate[at] = place.below_m > settings.depth_m;
         envelope.add(object);
     }
     let of_object: Vec<usize> = doubtful.iter().map(|&(at, _)| at).collect();
@@ -101,7 +107,7 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
     for (&(at, above_m), seen) in doubtful.iter().zip(&evidence) {
         let is_compact = objects.list[at].extent_m() <= BIRD_M;
         let is_noise =
-            if above_m > settings.free_air_m { seen.is_transparent() } else { seen.is_bird(is_compact) };
+            if above_m > free_air_m { seen.is_transparent() } else { seen.is_bird(is_compact) };
         is_accepted[at] = !is_noise;
         if !is_noise {
             envelope.add(&objects.list[at]);
@@ -124,22 +130,23 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
             let offset = low.offset(position_m);
             let is_low = offset.is_some_and(|offset| offset.is_below());
             classes[point] = if is_accepted[at] {
-                let quadrants = match offset {
-                    Some(offset) if offset.is_below() => 3,
-                    // Where planes are less certain, other points are on all sides.
-                    Some(offset) if is_separate[at] && offset.is_lower() => 4,
-                    _ => u32::MAX,
-                };
-                let is_contradicted = quadrants <= 4
-                    && low.quadrants_crossed(points, &objects, &points[point]) >= quadrants
+                // Deep points of the surface itself hang together with it by a wall.
+                let is_wall = object.n_points > SURFACE
+                    && offset.is_some_and(|offset| offset.above_m < -2.0 * objects.step_m);
+                let is_doubtful =
+                    is_low && !is_wall || is_separate[at] && offset.is_some_and(|offset| offset.is_lower());
+                let is_contradicted = is_doubtful
+                    && low.is_crossed_surface(points, &objects, &points[point])
                     || low.is_alone_below(points, &objects, position_m);
                 if is_contradicted { Class::LowNoise } else { Class::Unclassified }
+            } else if by_chance(object)
+                && !envelope.is_below(object)
+                && is_covered(&objects, points, &is_kept, position_m)
+            {
+                Class::Unclassified
             } else if is_low || envelope.is_below(object) {
                 Class::LowNoise
-            } else if by_chance(object)
-                && (offset.is_some_and(|offset| offset.is_on())
-                    || is_covered(&objects, points, &is_kept, position_m))
-            {
+            } else if by_chance(object) && offset.is_some_and(|offset| offset.is_on()) {
                 Class::Unclassified
             } else {
                 Class::HighNoise

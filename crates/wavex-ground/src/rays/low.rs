@@ -45,7 +45,7 @@ pub(super) struct LowSurface {
 /// Height of a point above the lowest surface, m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Offset {
-    above_m: f64,
+    pub(super) above_m: f64,
     spread_m: f64,
     /// Depth from which a point is below the surface, m.
     depth_m: f64,
@@ -111,26 +111,26 @@ impl LowSurface {
         Some(Offset { above_m, spread_m, depth_m: self.depth_m.max(SPREADS * plane.spread_m) })
     }
 
-    /// Number of quadrants around the place at which the beam to a point crosses the surface where other beams have met it.
-    pub(super) fn quadrants_crossed(
+    /// Whether the beam to a point crosses the surface where other beams have met it on all sides.
+    pub(super) fn is_crossed_surface(
         &self,
         points: &[CloudPoint],
         objects: &Objects,
         point: &CloudPoint,
-    ) -> u32 {
+    ) -> bool {
         let mut crossing_m = point.position_m;
         for _ in 0..3 {
-            let Some(plane) = self.plane_at(crossing_m) else { return 0 };
+            let Some(plane) = self.plane_at(crossing_m) else { return false };
             let height_m = plane.height_at(crossing_m[0], crossing_m[1]);
             let [x, y] = beam_at(point, height_m);
             crossing_m = [x, y, height_m];
         }
-        let Some(plane) = self.plane_at(crossing_m) else { return 0 };
+        let Some(plane) = self.plane_at(crossing_m) else { return false };
         let [x, y, z] = crossing_m;
         let band_m = (1.0 + 1.5 * plane.spread_m).min(10.0);
         // Points of a low cluster are no surface.
         let least_m = -band_m.min(0.5 * self.offset(point.position_m).map_or(0.0, |offset| -offset.above_m));
-        let reach_m = (2.0 * self.scale_m).max(1.5);
+        let reach_m = (2.5 * self.scale_m).max(1.5);
         let tall_m = band_m + reach_m * (plane.slope[0].abs() + plane.slope[1].abs()).min(3.0);
         let found =
             objects.points_in([x - reach_m, y - reach_m, z - tall_m], [x + reach_m, y + reach_m, z + tall_m]);
@@ -143,7 +143,7 @@ impl LowSurface {
                 quadrants |= 1 << (u32::from(dx > 0.0) * 2 + u32::from(dy > 0.0));
             }
         }
-        quadrants.count_ones()
+        quadrants == 0b1111
     }
 
     /// Whether a point is alone below the surface: all points around are above it, on all sides.
@@ -184,7 +184,7 @@ impl LowSurface {
 /// Plane of the lowest points around a cell, without its own.
 ///
 /// Slopes are medians of the slopes between pairs of cells. The height is the 30 % quantile of the points about
-/// these slopes, and the spread is the distance to their 10 % quantile.
+/// these slopes, and the spread is the distance to their 15 % quantile: low clusters cover up to four cells.
 fn plane(cell: [i64; 2], cell_m: f64, lowest: &Cells<[f64; 3]>) -> Option<Plane> {
     let around = |(i, j): (i64, i64)| lowest.get(&key([cell[0] + i, cell[1] + j])).copied();
     let offsets = (-REACH..=REACH).flat_map(|i| (-REACH..=REACH).map(move |j| (i, j)));
@@ -210,7 +210,7 @@ fn plane(cell: [i64; 2], cell_m: f64, lowest: &Cells<[f64; 3]>) -> Option<Plane>
         .map(|p| p[2] - slope[0] * (p[0] - middle_m[0]) - slope[1] * (p[1] - middle_m[1]))
         .collect();
     let height_m = quantile(&mut heights_m, 0.3)?;
-    let spread_m = (height_m - quantile(&mut heights_m, 0.1)?).max(LEAST_SPREAD_M);
+    let spread_m = (height_m - quantile(&mut heights_m, 0.15)?).max(LEAST_SPREAD_M);
     Some(Plane { middle_m, height_m, slope, spread_m })
 }
 
