@@ -47,6 +47,8 @@ const COVER_M: f64 = 1.5;
 const HOUSE_M: f64 = 150.0;
 /// More points than a cluster of low noise has.
 const SURFACE: usize = 2000;
+/// Largest extent of a flock, m; parts of wires are longer.
+const FLOCK_M: f64 = 5.0;
 /// Largest extent of a bird or a dense flock, m.
 const BIRD_M: f64 = 2.5;
 /// Fewest points of a wire or a mast far above the ground.
@@ -88,7 +90,9 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
         let place = envelope.place_of(object);
         let is_near = place.above_m <= free_air_m;
         let is_thin = object.is_thin(objects.step_m) && (is_near || object.n_points >= WIRE);
-        let is_small = object.n_points <= BIRDS && place.above_m > objects.step_m;
+        let is_small = object.n_points <= BIRDS
+            && object.extent_m() <= FLOCK_M
+            && place.above_m > objects.step_m;
         match place.above_m {
             above_m if above_m > settings.isolated_m || place.below_m > settings.isolated_m => continue,
             _ if is_thin => {}
