@@ -53,6 +53,40 @@ fn false_returns_are_withheld_and_true_ones_kept() {
     }
 }
 
+/// Method `model`: the same scenes, with beams in a map and in the frame of the scanner.
+#[test]
+fn the_model_finds_false_returns_and_keeps_true_ones() {
+    let model = "method = 'model'";
+    let (mut outliers, mut detected, mut trues, mut lost) = (0, 0, 0, 0);
+    for scene in &SCENES {
+        let flight = fly(scene, 1);
+        let (lines, cx, seconds) = filtered(flight.lines.iter().map(copy).collect(), model, usize::MAX);
+        let score = score_of_stage(&flight, &lines, scene.margin_m);
+        let (alone, ..) = filtered(without_trajectory(&flight, scene, 1), model, usize::MAX);
+        let of_alone = score_of_stage(&flight, &alone, scene.margin_m);
+        println!(
+            "{}: {:.2} % of {} detected, {:.4} % lost {:?}; in the scanner's frame {:.2} %, {:.4} %; {seconds:.2} s",
+            scene.name,
+            score.detected_percent(),
+            score.outliers[0],
+            score.lost_percent(None),
+            score.true_returns,
+            of_alone.detected_percent(),
+            of_alone.lost_percent(None),
+        );
+        assert!(score.detected_percent() >= 95.0 && score.lost_percent(None) <= 0.1, "{}", scene.name);
+        outliers += score.outliers[0];
+        detected += score.outliers[1];
+        score.true_returns.values().for_each(|[n, out]| (trues, lost) = (trues + n, lost + out));
+        assert!(cx.counters().notes.is_empty());
+        let marked: u64 = lines.iter().map(|line| line.stats.np_air + line.stats.np_low).sum();
+        let in_lines = lines.iter().flat_map(|line| line.returns().unwrap()).filter(|r| r.withheld).count();
+        assert_eq!((marked, score.rejected), (in_lines as u64, 0));
+    }
+    println!("{detected} of {outliers} detected, {lost} of {trues} lost");
+    assert!(detected * 100 >= outliers * 99 && lost * 10_000 <= trues * 2, "{detected} {lost}");
+}
+
 /// The side of false returns is identified: those above the highest ground and house are air
 /// points.
 #[test]

@@ -1,8 +1,8 @@
 //! The list of all stages, for jobs, the manual and the tests.
 
 use crate::process::{
-    calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, measure_footprints,
-    resolve_mta,
+    calibrate, classify, correct, decompose, filter_outliers, fuse_channels, georeference,
+    measure_footprints, resolve_mta,
 };
 use crate::readers::{read_arrow, read_hdf5, read_las, read_pulsewaves, read_returns, read_sdf, simulate};
 use crate::writers::{
@@ -28,6 +28,7 @@ pub const STAGES: &[&StageSpec] = &[
     &correct::STAGE,
     &filter_outliers::STAGE,
     &georeference::STAGE,
+    &classify::STAGE,
     &write_las::STAGE,
     &write_ascii::STAGE,
     &write_trajectory::STAGE,

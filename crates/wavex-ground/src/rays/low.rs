@@ -14,8 +14,6 @@ const FEWEST_CELLS: usize = 8;
 const SPREADS: f64 = 4.0;
 /// Smallest spread, m.
 const LEAST_SPREAD_M: f64 = 0.1;
-/// Quadrants around the crossing of a beam that have points of the surface.
-const QUADRANTS: u32 = 3;
 
 /// Plane of the lowest points around a cell.
 #[derive(Clone, Copy, Debug)]
@@ -47,7 +45,9 @@ pub(super) struct LowSurface {
 /// Height of a point above the lowest surface, m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Offset {
-    above_m: f64,
+    pub(super) above_m: f64,
+    spread_m: f64,
+    /// Depth from which a point is below the surface, m.
     depth_m: f64,
 }
 
@@ -55,6 +55,11 @@ impl Offset {
     /// Whether the point is clearly below the surface.
     pub(super) fn is_below(self) -> bool {
         self.above_m < -self.depth_m
+    }
+
+    /// Whether the point is lower than most of the surface.
+    pub(super) fn is_lower(self) -> bool {
+        self.above_m < -self.spread_m.max(1.0)
     }
 
     /// Whether the point is a point of the surface.
@@ -102,10 +107,11 @@ impl LowSurface {
     pub(super) fn offset(&self, position_m: [f64; 3]) -> Option<Offset> {
         let plane = self.plane_at(position_m)?;
         let above_m = position_m[2] - plane.height_at(position_m[0], position_m[1]);
-        Some(Offset { above_m, depth_m: self.depth_m.max(SPREADS * plane.spread_m) })
+        let spread_m = plane.spread_m;
+        Some(Offset { above_m, spread_m, depth_m: self.depth_m.max(SPREADS * plane.spread_m) })
     }
 
-    /// Whether the beam to a point crosses the surface where other beams have met it on most sides.
+    /// Whether the beam to a point crosses the surface where other beams have met it on all sides.
     pub(super) fn is_crossed_surface(
         &self,
         points: &[CloudPoint],
@@ -121,10 +127,10 @@ impl LowSurface {
         }
         let Some(plane) = self.plane_at(crossing_m) else { return false };
         let [x, y, z] = crossing_m;
-        let band_m = (1.0 + 1.5 * plane.spread_m).min(4.0);
+        let band_m = (1.0 + 1.5 * plane.spread_m).min(10.0);
         // Points of a low cluster are no surface.
         let least_m = -band_m.min(0.5 * self.offset(point.position_m).map_or(0.0, |offset| -offset.above_m));
-        let reach_m = (2.0 * self.scale_m).max(1.5);
+        let reach_m = (2.5 * self.scale_m).max(1.5);
         let tall_m = band_m + reach_m * (plane.slope[0].abs() + plane.slope[1].abs()).min(3.0);
         let found =
             objects.points_in([x - reach_m, y - reach_m, z - tall_m], [x + reach_m, y + reach_m, z + tall_m]);
@@ -137,7 +143,37 @@ impl LowSurface {
                 quadrants |= 1 << (u32::from(dx > 0.0) * 2 + u32::from(dy > 0.0));
             }
         }
-        quadrants.count_ones() >= QUADRANTS
+        quadrants == 0b1111
+    }
+
+    /// Whether a point is alone below the surface: all points around are above it, on all sides.
+    ///
+    /// Finds multipath on terraces and in valleys, where planes are less certain than the points near by.
+    pub(super) fn is_alone_below(
+        &self,
+        points: &[CloudPoint],
+        objects: &Objects,
+        position_m: [f64; 3],
+    ) -> bool {
+        if !self.offset(position_m).is_some_and(|offset| offset.above_m < -self.depth_m) {
+            return false;
+        }
+        let [x, y, z] = position_m;
+        let reach_m = (2.0 * self.scale_m).max(1.5);
+        let low_m = [x - reach_m, y - reach_m, z - objects.step_m];
+        let high_m = [x + reach_m, y + reach_m, z + 3.0 * objects.step_m];
+        let mut quadrants = 0u32;
+        let mut n_below = 0;
+        for other in objects.points_in(low_m, high_m) {
+            let [ox, oy, oz] = points[other].position_m;
+            let (dx, dy) = (ox - x, oy - y);
+            if dx * dx + dy * dy <= reach_m * reach_m {
+                n_below += u32::from(oz < z + 0.8 * self.depth_m);
+                quadrants |= 1 << (u32::from(dx > 0.0) * 2 + u32::from(dy > 0.0));
+            }
+        }
+        // The point is one of those that are not above it.
+        n_below == 1 && quadrants == 0b1111
     }
 
     fn plane_at(&self, position_m: [f64; 3]) -> Option<&Plane> {
@@ -148,7 +184,7 @@ impl LowSurface {
 /// Plane of the lowest points around a cell, without its own.
 ///
 /// Slopes are medians of the slopes between pairs of cells. The height is the 30 % quantile of the points about
-/// these slopes, and the spread is the distance to their 10 % quantile.
+/// these slopes, and the spread is the distance to their 15 % quantile: low clusters cover up to four cells.
 fn plane(cell: [i64; 2], cell_m: f64, lowest: &Cells<[f64; 3]>) -> Option<Plane> {
     let around = |(i, j): (i64, i64)| lowest.get(&key([cell[0] + i, cell[1] + j])).copied();
     let offsets = (-REACH..=REACH).flat_map(|i| (-REACH..=REACH).map(move |j| (i, j)));
@@ -174,7 +210,7 @@ fn plane(cell: [i64; 2], cell_m: f64, lowest: &Cells<[f64; 3]>) -> Option<Plane>
         .map(|p| p[2] - slope[0] * (p[0] - middle_m[0]) - slope[1] * (p[1] - middle_m[1]))
         .collect();
     let height_m = quantile(&mut heights_m, 0.3)?;
-    let spread_m = (height_m - quantile(&mut heights_m, 0.1)?).max(LEAST_SPREAD_M);
+    let spread_m = (height_m - quantile(&mut heights_m, 0.15)?).max(LEAST_SPREAD_M);
     Some(Plane { middle_m, height_m, slope, spread_m })
 }
 

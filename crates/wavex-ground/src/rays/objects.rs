@@ -265,6 +265,11 @@ impl Objects {
 }
 
 impl Object {
+    /// Largest extent along an axis, m.
+    pub(super) fn extent_m(&self) -> f64 {
+        (0..3).map(|axis| self.high_m[axis] - self.low_m[axis]).fold(0.0, f64::max)
+    }
+
     /// Whether it is long and thin: a wire, or a mast.
     pub(super) fn is_thin(&self, step_m: f64) -> bool {
         // SDs of a uniform distribution are its length over the root of 12.

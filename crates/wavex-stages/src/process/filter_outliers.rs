@@ -9,10 +9,12 @@ use wavex_line::stage::{Config, Output, Result, RunContext, StageSpec, Transform
 
 mod geometry;
 mod line_window;
+mod model;
 #[cfg(test)]
 mod tests;
 
 use line_window::OutlierWindow;
+use model::ModelFilter;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outliers", &[Kind::Returns]);
@@ -33,13 +35,20 @@ pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outl
 /// same returns are marked as with a trajectory. The report says so.
 /// `docs/explanation/outliers.md` gives the method and measurements.
 ///
-/// Holds back sixteen lines, or fewer, with a note, if `memory_mb` cannot hold them.
+/// **`method = "model"`** marks returns that contradict other beams: returns below the surface that other
+/// beams have met, and objects in the air through whose place other beams have passed, whatever their number of returns. It
+/// rejects no waveforms. Blocks of 250 m of the flight are held back with 100 m before and after, or less, with a
+/// note, if `memory_mb` cannot hold them. `docs/explanation/ground.md` compares both methods.
+///
+/// `method = "neighbours"` holds back sixteen lines, or fewer, with a note, if `memory_mb` cannot hold them.
 ///
 /// Counts `np_air np_low`, including rejected returns, and `nw_deleted`; rejected returns count as
 /// `np_filtered`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FilterOutliers {
+    /// Method: neighbours within steps (`neighbours`), or free space along beams (`model`).
+    pub method: OutlierMethod,
     /// Reject waveforms that deviate from their line.
     pub waves: bool,
     /// Mark isolated returns.
@@ -57,9 +66,26 @@ pub struct FilterOutliers {
     pub max_range_m: f64,
 }
 
+/// Method to recognise outliers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OutlierMethod {
+    /// Returns that few others can be reached from.
+    Neighbours,
+    /// Returns that contradict other beams.
+    Model,
+}
+
 impl Default for FilterOutliers {
     fn default() -> FilterOutliers {
-        FilterOutliers { waves: true, points: true, min_angle_deg: 2.0, max_height_m: 50.0, max_range_m: 4.0 }
+        FilterOutliers {
+            method: OutlierMethod::Neighbours,
+            waves: true,
+            points: true,
+            min_angle_deg: 2.0,
+            max_height_m: 50.0,
+            max_range_m: 4.0,
+        }
     }
 }
 
@@ -69,12 +95,20 @@ impl Config for FilterOutliers {
             self.waves || self.points,
             "points",
             "with `waves = false` it must be `true`; otherwise the stage does nothing",
+        )?;
+        InvalidKey::unless(
+            self.points || self.method == OutlierMethod::Neighbours,
+            "points",
+            "with `method = \"model\"` it must be `true`; this method marks points only",
         )
     }
 }
 
 impl TransformConfig for FilterOutliers {
-    fn make(&self, _: &RunContext) -> Result<Box<dyn Transform>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
+        if self.method == OutlierMethod::Model {
+            return Ok(Box::new(ModelFilter::new(self.max_range_m, run)));
+        }
         Ok(Box::new(OutlierFilter { strip: OutlierWindow::new(self.clone()) }))
     }
 }
