@@ -1,5 +1,7 @@
 //! Ground classification of points.
 
+mod growth;
+mod local_plane;
 mod low;
 mod opening;
 mod raster;
@@ -10,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rayon::prelude::*;
 
 use crate::point::{Class, CloudPoint};
-use raster::{EMPTY, Grid, lowest};
+use raster::{Grid, lowest};
 
 /// Edge of the tiles that are classified one by one, m. Tiles begin at multiples of it.
 pub const TILE_M: f64 = 512.0;
@@ -18,35 +20,56 @@ pub const TILE_M: f64 = 512.0;
 /// Settings of the ground classification. The default is one set for city, mountain and forest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroundSettings {
-    /// Cell of the raster of lowest points, m; coarser for sparse points.
+    /// Cell of the raster of lowest points, m; coarser for sparse points. At least [`SMALLEST_CELL_M`].
     pub cell_m: f64,
-    /// Half of the width of the widest object, m.
-    pub largest_radius_m: f64,
-    /// Slope (tangent) above which a step is an edge of an object.
-    pub slope: f64,
-    /// Largest height above the surface on level ground, m.
-    pub threshold_m: f64,
-    /// Height above the surface that a slope of 1 (45 degrees) adds, m.
-    pub slope_threshold_m: f64,
     /// Half of the width of pits that are outliers, m.
     pub low_radii_m: [f64; 2],
     /// Depth of such a pit divided by half of its width.
     pub low_slope: f64,
+    /// Half of the width of the widest object, m; at most a third of [`OVERLAP_M`].
+    pub largest_radius_m: f64,
+    /// An opening with windows of half width `r` removes what it lowers by more than `step_m + step_slope r`.
+    pub step_m: f64,
+    /// See `step_m`.
+    pub step_slope: f64,
+    /// Passes of the growth of the ground.
+    pub growth_passes: usize,
+    /// Largest height of ground above the plane around it, m, besides the plane's RMS.
+    pub plane_m: f64,
+    /// Addition to `plane_m` on a slope of 1 (45 degrees), m.
+    pub plane_slope_m: f64,
+    /// Largest height of ground above or below the plane on one side of it, m.
+    pub side_m: f64,
+    /// Addition to `side_m`, as a multiple of that plane's RMS.
+    pub side_roughness: f64,
+    /// Largest height of ground points above the final surface, m.
+    pub threshold_m: f64,
+    /// Addition to `threshold_m` on a slope of 1, m.
+    pub slope_threshold_m: f64,
 }
 
 impl Default for GroundSettings {
     fn default() -> GroundSettings {
         GroundSettings {
             cell_m: 1.0,
-            largest_radius_m: 18.0,
-            slope: 0.15,
-            threshold_m: 0.5,
-            slope_threshold_m: 1.25,
-            low_radii_m: [1.0, 3.0],
+            low_radii_m: [1.0, 4.0],
             low_slope: 5.0,
+            largest_radius_m: 40.0,
+            step_m: 0.2,
+            step_slope: 0.1,
+            growth_passes: 5,
+            plane_m: 0.3,
+            plane_slope_m: 0.3,
+            side_m: 0.2,
+            side_roughness: 0.4,
+            threshold_m: 0.3,
+            slope_threshold_m: 0.9,
         }
     }
 }
+
+/// Smallest cell that is used, m.
+pub const SMALLEST_CELL_M: f64 = 0.1;
 
 /// Distance beyond the edge of a tile up to which points take part in its classification, m.
 pub const OVERLAP_M: f64 = 100.0;
@@ -66,22 +89,20 @@ const CELLS_PER_POINT: f64 = 16.0;
 /// extent. The result does not depend on the order of points or on threads. Points whose coordinates are not finite, or
 /// farther than 1e9 m from the origin, are unclassified.
 pub fn classify_ground(points: &[CloudPoint], settings: &GroundSettings) -> Vec<Class> {
-    let mut tiles: BTreeMap<[i64; 2], Vec<u32>> = BTreeMap::new();
+    let mut tiles: BTreeMap<[i64; 2], Vec<usize>> = BTreeMap::new();
     for (index, point) in points.iter().enumerate() {
         let position = point.position_m;
-        if position.iter().all(|value| value.is_finite())
-            && position[..2].iter().all(|value| value.abs() <= FARTHEST_M)
-        {
+        if position.iter().all(|value| value.abs() <= FARTHEST_M) {
             let tile = [0, 1].map(|axis| (position[axis] / TILE_M).floor() as i64);
-            tiles.entry(tile).or_default().push(index as u32);
+            tiles.entry(tile).or_default().push(index);
         }
     }
     let tiles = &tiles;
-    let grounds: Vec<Vec<u32>> =
+    let grounds: Vec<Vec<usize>> =
         tiles.par_iter().map(|(&tile, inner)| ground_of_tile(points, tiles, tile, inner, settings)).collect();
     let mut classes = vec![Class::Unclassified; points.len()];
     for index in grounds.into_iter().flatten() {
-        classes[index as usize] = Class::Ground;
+        classes[index] = Class::Ground;
     }
     classes
 }
@@ -89,11 +110,11 @@ pub fn classify_ground(points: &[CloudPoint], settings: &GroundSettings) -> Vec<
 /// Indices of the ground points of a tile.
 fn ground_of_tile(
     points: &[CloudPoint],
-    tiles: &BTreeMap<[i64; 2], Vec<u32>>,
+    tiles: &BTreeMap<[i64; 2], Vec<usize>>,
     tile: [i64; 2],
-    inner: &[u32],
+    inner: &[usize],
     settings: &GroundSettings,
-) -> Vec<u32> {
+) -> Vec<usize> {
     let mut members = inner.to_vec();
     let lower = tile.map(|index| index as f64 * TILE_M - OVERLAP_M);
     let upper = tile.map(|index| (index + 1) as f64 * TILE_M + OVERLAP_M);
@@ -103,12 +124,12 @@ fn ground_of_tile(
         }
         let Some(neighbour) = tiles.get(&[tile[0] + east, tile[1] + north]) else { continue };
         members.extend(neighbour.iter().filter(|&&index| {
-            let position = points[index as usize].position_m;
+            let position = points[index].position_m;
             (0..2).all(|axis| position[axis] >= lower[axis] && position[axis] <= upper[axis])
         }));
     }
-    let positions_m: Vec<[f64; 3]> = members.iter().map(|&index| points[index as usize].position_m).collect();
-    let mut is_ground = ground(&positions_m, settings);
+    let members: Vec<CloudPoint> = members.iter().map(|&index| points[index]).collect();
+    let mut is_ground = ground(&members, settings);
     is_ground.truncate(inner.len());
     inner.iter().zip(is_ground).filter(|&(_, is_ground)| is_ground).map(|(&index, _)| index).collect()
 }
@@ -125,7 +146,7 @@ fn grid(positions_m: &[[f64; 3]], settings: &GroundSettings) -> Grid {
         squares.insert([0, 1].map(|axis| (position[axis] / AREA_SQUARE_M).floor() as i64));
     }
     let area_m2 = squares.len() as f64 * AREA_SQUARE_M * AREA_SQUARE_M;
-    let mut cell_m = settings.cell_m;
+    let mut cell_m = settings.cell_m.max(SMALLEST_CELL_M);
     while area_m2 / (cell_m * cell_m) > CELLS_PER_POINT * positions_m.len() as f64 {
         cell_m *= 2.0;
     }
@@ -133,30 +154,28 @@ fn grid(positions_m: &[[f64; 3]], settings: &GroundSettings) -> Grid {
 }
 
 /// Whether each point of a tile is ground.
-fn ground(positions_m: &[[f64; 3]], settings: &GroundSettings) -> Vec<bool> {
-    let grid = grid(positions_m, settings);
-    let is_low = low::below_ground(&grid, positions_m, settings);
-    let cells = lowest(&grid, positions_m, |point| !is_low[point]);
-    let seeds = opening::bare_cells(&grid, positions_m, &cells, settings);
+fn ground(points: &[CloudPoint], settings: &GroundSettings) -> Vec<bool> {
+    let positions_m: Vec<[f64; 3]> = points.iter().map(|point| point.position_m).collect();
+    let grid = grid(&positions_m, settings);
+    let is_low = low::below_ground(&grid, &positions_m, settings);
+    let cells = lowest(&grid, &positions_m, |point| !is_low[point] && points[point].may_be_last());
+    let mut is_ground = opening::bare_cells(&grid, &positions_m, &cells, settings);
+    growth::grow(&grid, &positions_m, &cells, &mut is_ground, settings);
     let known: Vec<f64> = cells
         .iter()
-        .zip(&seeds)
-        .map(
-            |(&point, &is_seed)| {
-                if point != EMPTY && is_seed { positions_m[point as usize][2] } else { f64::NAN }
-            },
-        )
+        .zip(&is_ground)
+        .map(|(&point, &is_ground)| if is_ground { positions_m[point][2] } else { f64::NAN })
         .collect();
     let surface = surface::fill(grid.columns, grid.rows, &known);
     let slopes = surface::slopes(&grid, &surface);
-    positions_m
+    points
         .iter()
         .zip(is_low)
-        .map(|(position, is_low)| {
-            let [x, y, z] = *position;
-            let slope = grid.interpolate(&slopes, x, y);
-            let height = z - grid.interpolate(&surface, x, y);
-            !is_low && height.abs() <= settings.threshold_m + settings.slope_threshold_m * slope
+        .map(|(point, is_low)| {
+            let [x, y, z] = point.position_m;
+            let height_m = z - grid.interpolate(&surface, x, y);
+            let limit_m = settings.threshold_m + settings.slope_threshold_m * grid.interpolate(&slopes, x, y);
+            !is_low && point.may_be_last() && height_m.abs() <= limit_m
         })
         .collect()
 }
