@@ -61,7 +61,7 @@ impl Default for GroundSettings {
             plane_m: 0.3,
             plane_slope_m: 0.3,
             side_m: 0.2,
-            side_roughness: 0.4,
+            side_roughness: 0.8,
             threshold_m: 0.3,
             slope_threshold_m: 0.9,
         }
@@ -183,19 +183,139 @@ fn ground(points: &[CloudPoint], settings: &GroundSettings) -> Vec<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    /// Points 1 m apart, shifted within their cells by a fixed pattern, whose heights `height` gives.
+    fn scene(edge: u32, height: impl Fn(f64, f64) -> (f64, bool)) -> (Vec<CloudPoint>, Vec<bool>) {
+        (0..edge * edge)
+            .map(|index| {
+                let shift = |factor: u32| f64::from(index.wrapping_mul(factor) >> 16 & 255) / 256.0;
+                let (x, y) =
+                    (f64::from(index % edge) + shift(40503), f64::from(index / edge) + shift(2654435761));
+                let (z, is_ground) = height(x, y);
+                (CloudPoint::at([x, y, z]), is_ground)
+            })
+            .unzip()
+    }
+
+    fn is_ground(points: &[CloudPoint]) -> Vec<bool> {
+        classify_ground(points, &GroundSettings::default())
+            .into_iter()
+            .map(|class| class == Class::Ground)
+            .collect()
+    }
+
+    /// Share of points that are classified wrongly.
+    fn error(points: &[CloudPoint], truth: &[bool]) -> f64 {
+        let wrong = is_ground(points).iter().zip(truth).filter(|(found, truth)| found != truth).count();
+        wrong as f64 / truth.len() as f64
+    }
 
     #[test]
-    fn box_on_a_plane_is_no_ground() {
-        let mut points = Vec::new();
-        for index in 0..10_000u32 {
-            let (x, y) = (f64::from(index % 100), f64::from(index / 100));
-            let is_roof = (40.0..60.0).contains(&x) && (40.0..60.0).contains(&y);
-            points.push((CloudPoint::at([x, y, if is_roof { 8.0 } else { 0.02 * x }]), is_roof));
+    fn buildings_on_a_slope_are_no_ground() {
+        let (points, truth) = scene(160, |x, y| {
+            let is_roof = (50.0..70.0).contains(&x) && (50.0..70.0).contains(&y);
+            (0.3 * x + if is_roof { 12.0 } else { 0.0 }, !is_roof)
+        });
+        assert!(error(&points, &truth) < 0.005, "{}", error(&points, &truth));
+    }
+
+    #[test]
+    fn buildings_of_75_m_are_no_ground() {
+        let (points, truth) = scene(220, |x, y| {
+            let is_roof = (70.0..145.0).contains(&x) && (70.0..145.0).contains(&y);
+            (if is_roof { 15.0 } else { 0.0 }, !is_roof)
+        });
+        assert!(error(&points, &truth) < 0.005, "{}", error(&points, &truth));
+    }
+
+    #[test]
+    fn slopes_of_45_degrees_and_terraces_are_ground() {
+        let (points, truth) = scene(120, |x, _| (if x < 60.0 { x } else { 68.0 }, true));
+        assert!(error(&points, &truth) < 0.02, "{}", error(&points, &truth));
+    }
+
+    #[test]
+    fn points_far_below_do_not_pull_the_ground_down() {
+        let (mut points, mut truth) = scene(100, |x, y| (0.1 * x + 0.05 * y, true));
+        for index in 0..10 {
+            let x = 8.0 + 9.0 * f64::from(index);
+            points.push(CloudPoint::at([x, 50.0, -500.0]));
+            points.push(CloudPoint::at([x, 51.0, -12.0]));
+            truth.extend([false; 2]);
         }
-        let cloud: Vec<CloudPoint> = points.iter().map(|&(point, _)| point).collect();
-        let classes = classify_ground(&cloud, &GroundSettings::default());
-        for ((_, is_roof), class) in points.iter().zip(classes) {
-            assert_eq!(class == Class::Ground, !is_roof);
+        assert_eq!(error(&points, &truth), 0.0);
+    }
+
+    #[test]
+    fn returns_before_the_last_are_no_ground() {
+        let mut first = CloudPoint::at([10.5, 10.5, 0.0]);
+        (first.return_number, first.n_returns) = (1, 2);
+        let (mut points, _) = scene(20, |_, _| (0.0, true));
+        points.push(first);
+        assert_eq!(is_ground(&points).pop(), Some(false));
+    }
+
+    #[test]
+    fn islands_are_classified_without_a_raster_over_the_gap() {
+        let (mut points, truth) = scene(60, |x, _| (0.1 * x, true));
+        let far: Vec<CloudPoint> = points
+            .iter()
+            .map(|point| CloudPoint {
+                position_m: [point.position_m[0] + 1e6, point.position_m[1], 9.0],
+                ..*point
+            })
+            .collect();
+        points.extend(far);
+        assert_eq!(error(&points, &[truth.clone(), truth].concat()), 0.0);
+    }
+
+    #[test]
+    fn sparse_points_get_coarse_cells() {
+        let positions = [[0.0, 0.0, 0.0], [700.0, 700.0, 0.0]];
+        assert!(super::grid(&positions, &GroundSettings::default()).len() < 20_000);
+    }
+
+    #[test]
+    fn unusable_coordinates_are_unclassified() {
+        let bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e10];
+        for value in bad {
+            for axis in 0..3 {
+                let mut position = [1.0, 2.0, 3.0];
+                position[axis] = value;
+                assert_eq!(is_ground(&[CloudPoint::at([0.0; 3]), CloudPoint::at(position)]), [true, false]);
+            }
+        }
+        assert!(is_ground(&[]).is_empty());
+    }
+
+    #[test]
+    fn collinear_and_equal_points_are_classified() {
+        let line: Vec<CloudPoint> =
+            (0..50).map(|index| CloudPoint::at([f64::from(index), 0.0, 1.0])).collect();
+        assert!(is_ground(&line).iter().all(|&is_ground| is_ground));
+        assert_eq!(is_ground(&[CloudPoint::at([5.0; 3]); 40]), [true; 40]);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+        #[test]
+        fn results_do_not_depend_on_the_order_of_points(
+            mut keyed in prop::collection::vec((0u32..1200, 0u32..40, 0u32..30, any::<u32>()), 1..200),
+        ) {
+            let classified = |keyed: &[(u32, u32, u32, u32)]| {
+                let points: Vec<CloudPoint> = keyed
+                    .iter()
+                    .map(|&(x, y, z, _)| CloudPoint::at([f64::from(x) / 2.0, f64::from(y) / 2.0, f64::from(z) / 10.0]))
+                    .collect();
+                let mut result: Vec<_> =
+                    keyed.iter().zip(is_ground(&points)).map(|(&(x, y, z, _), ground)| (x, y, z, ground)).collect();
+                result.sort_unstable();
+                result
+            };
+            let first = classified(&keyed);
+            keyed.sort_unstable_by_key(|point| point.3);
+            prop_assert_eq!(first, classified(&keyed));
         }
     }
 }

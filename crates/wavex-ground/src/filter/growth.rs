@@ -17,7 +17,7 @@ const LOWER_BY: f64 = 2.0;
 
 /// Decides each cell again, from planes through the ground around it, until nothing changes.
 ///
-/// A cell is ground if its lowest point is near the plane through its surroundings, or near one through the ground on one
+/// A cell without three neighbours stays as it is. Another is ground if its lowest point is near the plane through its surroundings, or near one through the ground on one
 /// side of it. Progressive densification after Axelsson (2000) with planes instead of the facets of a triangulation: a
 /// plane averages noise, and its residuals say how rough the ground is.
 pub(super) fn grow(
@@ -33,7 +33,7 @@ pub(super) fn grow(
             |cell: usize, around: &Neighbourhood| fit(grid, positions_m, cells, &before, cell, around);
         let mut is_changed = false;
         for cell in (0..grid.len()).filter(|&cell| cells[cell] != EMPTY) {
-            is_ground[cell] = plane(cell, &AROUND).is_some_and(|around| {
+            is_ground[cell] = plane(cell, &AROUND).map_or(before[cell], |around| {
                 is_near(&around, before[cell], settings)
                     || sides().any(|side| {
                         plane(cell, &Neighbourhood { side, ..BESIDE }).is_some_and(|beside| {

@@ -109,15 +109,15 @@ pub(super) fn bare_cells(
     let mut heights = fill(grid.columns, grid.rows, &known);
     let mut is_bare: Vec<bool> = cells.iter().map(|&point| point != EMPTY).collect();
     let largest = (settings.largest_radius_m / grid.cell_m).round() as usize;
-    let mut radius = 1;
-    while radius <= largest {
+    let mut radius = 0;
+    while radius < largest {
+        radius = (radius + (radius / 8).max(1)).min(largest);
         let opened = open(grid, &heights, radius);
         let step = settings.step_m + settings.step_slope * radius as f64 * grid.cell_m;
         for cell in 0..grid.len() {
             is_bare[cell] &= heights[cell] - opened[cell] <= step;
         }
         heights = opened;
-        radius += (radius / 8).max(1);
     }
     is_bare
 }
