@@ -17,7 +17,7 @@ pub(super) fn below_ground(grid: &Grid, positions_m: &[[f64; 3]], settings: &Gro
         let cells = lowest(grid, positions_m, |point| !is_low[point]);
         let heights: Vec<f64> = cells
             .iter()
-            .map(|&point| if point == EMPTY { f64::NEG_INFINITY } else { positions_m[point as usize][2] })
+            .map(|&point| if point == EMPTY { f64::NEG_INFINITY } else { positions_m[point][2] })
             .collect();
         let mut lowest_allowed = vec![f64::NEG_INFINITY; grid.len()];
         for radius_m in settings.low_radii_m {

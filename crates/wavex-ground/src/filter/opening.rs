@@ -2,20 +2,21 @@
 
 use super::GroundSettings;
 use super::raster::{EMPTY, Grid};
+use super::surface::fill;
 
 /// Opening with a square of `2 radius + 1` cells: highest of the squares' lowest values. Empty cells (infinite) have no
 /// effect and get a value if a square around them has one.
 pub(super) fn open(grid: &Grid, values: &[f64], radius: usize) -> Vec<f64> {
-    let mut eroded = sweep(grid, values, radius, f64::INFINITY, f64::min);
+    let mut eroded = sweep(grid, values, radius, f64::INFINITY, lower);
     replace(&mut eroded, f64::INFINITY, f64::NEG_INFINITY);
-    sweep(grid, &eroded, radius, f64::NEG_INFINITY, f64::max)
+    sweep(grid, &eroded, radius, f64::NEG_INFINITY, higher)
 }
 
 /// Closing with a square: lowest of the squares' highest values. Empty cells are negative infinite.
 pub(super) fn close(grid: &Grid, values: &[f64], radius: usize) -> Vec<f64> {
-    let mut dilated = sweep(grid, values, radius, f64::NEG_INFINITY, f64::max);
+    let mut dilated = sweep(grid, values, radius, f64::NEG_INFINITY, higher);
     replace(&mut dilated, f64::NEG_INFINITY, f64::INFINITY);
-    sweep(grid, &dilated, radius, f64::INFINITY, f64::min)
+    sweep(grid, &dilated, radius, f64::INFINITY, lower)
 }
 
 fn replace(values: &mut [f64], old: f64, new: f64) {
@@ -26,45 +27,67 @@ fn replace(values: &mut [f64], old: f64, new: f64) {
     }
 }
 
-/// `pick` over a square around each cell: rows, then columns, each by the algorithm of van Herk (1992) and Gil and
-/// Werman (1993), whose cost does not depend on the radius.
-fn sweep(grid: &Grid, values: &[f64], radius: usize, none: f64, pick: fn(f64, f64) -> f64) -> Vec<f64> {
-    let mut result = values.to_vec();
-    let longest = grid.columns.max(grid.rows);
-    let (mut line, mut forward, mut backward) = (Vec::new(), Vec::new(), Vec::new());
-    for buffer in [&mut line, &mut forward, &mut backward] {
-        buffer.reserve(longest + 4 * radius + 2);
+// Unlike `f64::min` and `f64::max` without a rule for NaN, which heights are not.
+fn lower(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+fn higher(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// `pick` over a square around each cell: along rows, then along columns.
+fn sweep(
+    grid: &Grid,
+    values: &[f64],
+    radius: usize,
+    none: f64,
+    pick: impl Fn(f64, f64) -> f64 + Copy,
+) -> Vec<f64> {
+    let along_rows = sweep_rows(values, grid.columns, radius, none, pick);
+    let turned = transpose(&along_rows, grid.columns);
+    transpose(&sweep_rows(&turned, grid.rows, radius, none, pick), grid.rows)
+}
+
+/// Columns as rows.
+fn transpose(values: &[f64], columns: usize) -> Vec<f64> {
+    let rows = values.len() / columns;
+    let mut turned = vec![0.0; values.len()];
+    for (row, cells) in values.chunks_exact(columns).enumerate() {
+        for (column, &value) in cells.iter().enumerate() {
+            turned[column * rows + row] = value;
+        }
     }
-    let mut run = |result: &mut [f64], start: usize, step: usize, count: usize| {
-        let window = 2 * radius + 1;
-        let padded = (count + 2 * radius).next_multiple_of(window);
-        line.clear();
-        line.resize(padded, none);
-        for index in 0..count {
-            line[radius + index] = result[start + index * step];
-        }
-        forward.clear();
-        forward.extend_from_slice(&line);
-        backward.clear();
-        backward.extend_from_slice(&line);
-        for index in 1..padded {
-            if !index.is_multiple_of(window) {
-                forward[index] = pick(forward[index], forward[index - 1]);
+    turned
+}
+
+/// `pick` over windows along rows, by the algorithm of van Herk (1992) and Gil and Werman (1993), whose cost does not
+/// depend on the radius.
+fn sweep_rows(
+    values: &[f64],
+    columns: usize,
+    radius: usize,
+    none: f64,
+    pick: impl Fn(f64, f64) -> f64 + Copy,
+) -> Vec<f64> {
+    let window = 2 * radius + 1;
+    let padded = (columns + 2 * radius).next_multiple_of(window);
+    let mut forward = vec![none; padded];
+    let mut backward = vec![none; padded];
+    let mut result = Vec::with_capacity(values.len());
+    for row in values.chunks_exact(columns) {
+        forward.fill(none);
+        forward[radius..radius + columns].copy_from_slice(row);
+        backward.copy_from_slice(&forward);
+        for (forward, backward) in forward.chunks_exact_mut(window).zip(backward.chunks_exact_mut(window)) {
+            for index in 1..window {
+                forward[index] = pick(forward[index - 1], forward[index]);
+                let mirrored = window - 1 - index;
+                backward[mirrored] = pick(backward[mirrored + 1], backward[mirrored]);
             }
-            let mirrored = padded - 1 - index;
-            if !(mirrored + 1).is_multiple_of(window) {
-                backward[mirrored] = pick(backward[mirrored], backward[mirrored + 1]);
-            }
         }
-        for index in 0..count {
-            result[start + index * step] = pick(backward[index], forward[index + window - 1]);
-        }
-    };
-    for row in 0..grid.rows {
-        run(&mut result, row * grid.columns, 1, grid.columns);
-    }
-    for column in 0..grid.columns {
-        run(&mut result, column, grid.columns, grid.rows);
+        let ends = &forward[window - 1..];
+        result.extend(backward.iter().zip(ends).take(columns).map(|(&start, &end)| pick(start, end)));
     }
     result
 }
@@ -77,22 +100,22 @@ fn sweep(grid: &Grid, values: &[f64], radius: usize, none: f64, pick: fn(f64, f6
 pub(super) fn bare_cells(
     grid: &Grid,
     positions_m: &[[f64; 3]],
-    cells: &[u32],
+    cells: &[usize],
     settings: &GroundSettings,
 ) -> Vec<bool> {
-    let mut heights: Vec<f64> = cells
-        .iter()
-        .map(|&point| if point == EMPTY { f64::INFINITY } else { positions_m[point as usize][2] })
-        .collect();
+    let known: Vec<f64> =
+        cells.iter().map(|&point| if point == EMPTY { f64::NAN } else { positions_m[point][2] }).collect();
+    // Filled, because a slope between sparse points would look like a step of an opening that reaches the next one.
+    let mut heights = fill(grid.columns, grid.rows, &known);
     let mut is_bare: Vec<bool> = cells.iter().map(|&point| point != EMPTY).collect();
     let largest = (settings.largest_radius_m / grid.cell_m).round() as usize;
-    for radius in 1..=largest {
+    let mut radius = 0;
+    while radius < largest {
+        radius = (radius + (radius / 8).max(1)).min(largest);
         let opened = open(grid, &heights, radius);
-        let step = settings.slope * radius as f64 * grid.cell_m;
+        let step = settings.step_m + settings.step_slope * radius as f64 * grid.cell_m;
         for cell in 0..grid.len() {
-            if heights[cell] - opened[cell] > step {
-                is_bare[cell] = false;
-            }
+            is_bare[cell] &= heights[cell] - opened[cell] <= step;
         }
         heights = opened;
     }

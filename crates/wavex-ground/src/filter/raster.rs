@@ -1,7 +1,7 @@
 //! Raster of a tile: cells with values, and the lowest point of each cell.
 
 /// No point in a cell.
-pub(super) const EMPTY: u32 = u32::MAX;
+pub(super) const EMPTY: usize = usize::MAX;
 
 /// Cells of a tile in the plane, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,6 +33,24 @@ impl Grid {
         index(1, self.rows) * self.columns + index(0, self.columns)
     }
 
+    /// Calls `visit` with the cells of the square ring at a distance of `ring` cells.
+    pub(super) fn for_each_in_ring(&self, cell: usize, ring: usize, mut visit: impl FnMut(usize)) {
+        let (row, column) = (cell / self.columns, cell % self.columns);
+        let columns = column.saturating_sub(ring)..(column + ring + 1).min(self.columns);
+        for other_row in row.saturating_sub(ring)..(row + ring + 1).min(self.rows) {
+            if other_row.abs_diff(row) == ring {
+                columns.clone().for_each(|other| visit(other_row * self.columns + other));
+                continue;
+            }
+            if column >= ring {
+                visit(other_row * self.columns + column - ring);
+            }
+            if column + ring < self.columns {
+                visit(other_row * self.columns + column + ring);
+            }
+        }
+    }
+
     /// Value between the centres of cells (bilinear; constant beyond the outer centres).
     pub(super) fn interpolate(&self, values: &[f64], x_m: f64, y_m: f64) -> f64 {
         let place = |value: f64, origin: f64, count: usize| {
@@ -50,15 +68,15 @@ impl Grid {
 }
 
 /// The lowest accepted point of each cell, by index; [`EMPTY`] for none. Ties are resolved by position.
-pub(super) fn lowest(grid: &Grid, positions_m: &[[f64; 3]], accept: impl Fn(usize) -> bool) -> Vec<u32> {
+pub(super) fn lowest(grid: &Grid, positions_m: &[[f64; 3]], accept: impl Fn(usize) -> bool) -> Vec<usize> {
     let mut cells = vec![EMPTY; grid.len()];
     for (index, &position) in positions_m.iter().enumerate() {
         if !accept(index) {
             continue;
         }
         let cell = &mut cells[grid.cell(position)];
-        if *cell == EMPTY || is_lower(position, positions_m[*cell as usize]) {
-            *cell = index as u32;
+        if *cell == EMPTY || is_lower(position, positions_m[*cell]) {
+            *cell = index;
         }
     }
     cells
