@@ -48,7 +48,7 @@ def cloth(points):
 
     start = time.perf_counter()
     csf = CSF.CSF()
-    csf.params.bSloopSmooth = False
+    csf.params.bSloopSmooth = True
     csf.params.cloth_resolution, csf.params.rigidness, csf.params.class_threshold = 1.0, 2, 0.5
     csf.setPointCloud(points)
     ground, other = CSF.VecInt(), CSF.VecInt()

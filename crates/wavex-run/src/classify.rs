@@ -228,7 +228,9 @@ fn classify(
     let mut failed = BTreeSet::new();
     for (result, number) in spooled.into_iter().zip(0..) {
         match result {
-            Ok(counts) => drop(read.insert(number, counts)),
+            Ok(counts) => {
+                read.insert(number, counts);
+            }
             Err(problem) => {
                 failures.push(problem);
                 failed.insert(number);

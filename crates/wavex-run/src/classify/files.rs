@@ -80,7 +80,7 @@ impl Cloud {
     }
 
     /// Order of clouds that depends on their content only, unless it is equal.
-    pub(super) fn rank(&self) -> impl Ord {
+    pub(super) fn rank(&self) -> impl Ord + use<> {
         let bits = |values: [f64; 3]| values.map(f64::to_bits);
         let header = &self.header;
         let content = (

@@ -7,6 +7,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use wavex_ground::filter::{GroundSettings, OVERLAP_M, TILE_M, classify_ground};
 use wavex_ground::point::{Class, CloudPoint};
+use wavex_ground::rays::{NoiseSettings, mark_noise};
 
 use super::spool::{Spool, SpoolWriter};
 
@@ -81,7 +82,11 @@ impl<'a> Tiles<'a> {
         let mut writer = ground.classes.writer();
         for key in self.absurd.keys() {
             let mut result = Ok(());
-            self.absurd.read(key, |record| result = writer.push(key, record))?;
+            self.absurd.read(key, |record| {
+                if result.is_ok() {
+                    result = writer.push(key, record);
+                }
+            })?;
             result?;
         }
         writer.finish()?;
@@ -160,11 +165,20 @@ fn fits_or_first<T>(mut fits: impl FnMut(&T) -> bool) -> impl FnMut(&T) -> bool 
     move |item| fits(item) | std::mem::take(&mut is_first)
 }
 
-/// Classes of the points of a tile with its margin.
-///
-/// Points that a model of noise marks go here, before the ground.
+/// Classes of the points of a tile with its margin: first noise, then the ground of the other points.
 fn classes_of(points: &[CloudPoint], settings: &GroundSettings) -> Vec<Class> {
-    classify_ground(points, settings)
+    let mut classes = mark_noise(points, &NoiseSettings::default());
+    let others: Vec<CloudPoint> = points
+        .iter()
+        .zip(&classes)
+        .filter(|(_, class)| **class == Class::Unclassified)
+        .map(|(point, _)| *point)
+        .collect();
+    let unclassified = classes.iter_mut().filter(|class| **class == Class::Unclassified);
+    for (class, other) in unclassified.zip(classify_ground(&others, settings)) {
+        *class = other;
+    }
+    classes
 }
 
 /// Tiles within this distance of a tile, itself first.
