@@ -8,7 +8,7 @@ use wavex_engine::engine::Cancel;
 use wavex_formats::geotiff::{NO_DATA, RasterGrid, RasterWriter, TILE, TileValues, empty_tile_of};
 use wavex_ground::point::CloudPoint;
 use wavex_ground::terrain::{
-    CellRange, TerrainModel, TerrainOptions, TerrainTile, learn_terrain, terrain_of_tile,
+    CellRange, TerrainModel, TerrainOptions, learn_terrain, terrain_of_tile,
 };
 use wavex_line::stage::OutputFile;
 
