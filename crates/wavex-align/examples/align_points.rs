@@ -46,6 +46,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(fits) = given["fits_trajectory_sds"].as_bool() {
         settings.fits_trajectory_sds = fits;
     }
+    if let Some(fits) = given["fits_time_errors"].as_bool() {
+        settings.fits_time_errors = fits;
+    }
     let control = given["control"].as_array().map_or(&[][..], Vec::as_slice).iter().map(control_point);
     let control = control.collect::<Result<Vec<_>, _>>()?;
     settings.trajectory_model = match given["model"].as_str().unwrap_or("constant") {
@@ -207,6 +210,7 @@ fn report(result: &Alignment) -> Value {
         result.trajectory_sds.map(|both| both.map(|own| json!([own.factor, own.shown, own.is_used])));
     json!({
         "control": control, "control_scale": result.control.scale, "sd_factors": sd_factors,
+        "time_errors": result.time_errors.map(|own| json!([own.factor, own.intervals, own.interval_s, own.ratios])),
         "parameters": parameters, "strips": strips, "overlaps": overlaps, "correlations": correlations,
         "scale": result.scale, "n_unknowns": result.n_unknowns, "n_pairs": result.n_pairs,
         "n_rejected": result.n_rejected, "spread_m": result.spread_m, "verdict": format!("{:?}", result.verdict),

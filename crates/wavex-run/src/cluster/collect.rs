@@ -10,7 +10,7 @@ use super::merge::{Merge, TaskResult};
 use super::plan::pattern_of_patches;
 use super::{INCLUDED, JOB, MOST_BYTES, REMEDY, SurveyPlan, Task};
 use crate::Failure;
-use crate::align::{AlignConstraints, AlignRequest, Aligned, TrajectoryModel, align};
+use crate::align::{AlignConstraints, AlignJob, AlignRequest, Aligned, TrajectoryModel, align};
 use crate::archive::{Seals, digest_of, plain};
 use wavex_engine::engine::{self, Cancel, InputStatus, InputSummary, Options, ProgressMode, RunSummary};
 use wavex_engine::job::{Include, Job, JobStage, Override};
@@ -100,9 +100,9 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
         let patches: Vec<PathBuf> =
             done.map(|input| dirs[1].join(pattern.replace('*', &input.stem))).collect();
         let name = plain(&job_dir.join(&plan.job)).display().to_string();
+        let job = Job { name, ..job.clone() };
         align(&AlignRequest {
-            job: &Job { name, ..job.clone() },
-            folder: &job_dir,
+            jobs: &[AlignJob { job: &job, folder: &job_dir }],
             output: &plain(&root.join(output)),
             trajectory: TrajectoryModel::Constant,
             constraints: AlignConstraints::default(),
