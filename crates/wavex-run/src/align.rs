@@ -30,6 +30,7 @@ pub use wavex_align::parameters::TrajectoryModel;
 
 pub mod clouds;
 mod control;
+mod installations;
 mod jobs;
 mod patch_files;
 mod report;
@@ -161,13 +162,13 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
     let constraints = Constraints { control: points, references: &references };
     let result =
         adjusted(&survey, &settings, &constraints, &request.constraints.estimate, first.options.workers())?;
-    let result = match jobs::misplaced(&survey, &result) {
+    let result = match installations::misplaced(&survey, &result) {
         Some(_) => Alignment { verdict: result.verdict.max(Verdict::Doubtful), ..result },
         None => result,
     };
     let warnings = survey.failures.iter().map(|failed| format!("left out: {}", failed.problem));
     let warnings: Vec<String> = warnings.chain(unconnected(&survey, &result)).collect();
-    let warnings = warnings.into_iter().chain(jobs::unconnected_jobs(&places, &survey, &result));
+    let warnings = warnings.into_iter().chain(installations::unconnected_jobs(&places, &survey, &result));
     let replaced = places.iter().filter_map(|place| place.job.settings.geometry.corrections.as_ref());
     let replaced = replaced.map(|file| {
         format!("{file}: the corrections of the job are not applied; those of this alignment replace them")
@@ -373,7 +374,7 @@ fn write(
     for (index, (place, scanner)) in places.iter().zip(&result.state.scanners).enumerate() {
         let [calibration, corrections] =
             [CALIBRATION_FILE, CORRECTIONS_FILE].map(|name| place.output.join(name));
-        if is_bad || places.len() > 1 && !jobs::is_aligned(survey, result, index) {
+        if is_bad || places.len() > 1 && !installations::is_aligned(survey, result, index) {
             stale.extend([calibration, corrections]);
             continue;
         }

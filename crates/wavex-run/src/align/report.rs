@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::control::Control;
-use super::jobs::{JobPlace, installations};
+use super::installations::installations;
+use super::jobs::JobPlace;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, TrajectoryModel, words};
 use crate::archive::size_and_digest_of;

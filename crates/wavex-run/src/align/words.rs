@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::control::Control;
 use super::strips::SurveyStrips;
-use super::jobs::{JobPlace, installations, misplaced};
+use super::installations::{installations, misplaced};
+use super::jobs::JobPlace;
 use super::{CALIBRATION_FILE, CORRECTIONS_FILE};
 use crate::from_returns::writes_returns;
 use wavex_align::estimable::{
