@@ -75,14 +75,14 @@ fn simulation(
     calibrate: &str,
 ) -> String {
     format!(
-            "[[stage]]\ntype = 'simulate'\nstem = '{stem}'\nscene_seed = 1\nseed = {number}\nlines = {lines}\n\
+        "[[stage]]\ntype = 'simulate'\nstem = '{stem}'\nscene_seed = 1\nseed = {number}\nlines = {lines}\n\
              shots_per_line = 120\nlandscape = 'country'\nwood_ratio = 0.1\nwater_ratio = 0.0\nwire_height_m = 0.0\n\
              {land}flying_height_m = 120\nspeed_mps = 25\npulse_rate_hz = 7000\nroll_deg = 2.0\npitch_deg = 2.0\n\
              motion_period_s = 3.0\ntrack_direction_deg = {direction_deg:?}\ntrack_offset_m = {offset_m:?}\n\
              start_time_s = {}\nlever_arm_m = {LEVER_ARM_M:?}\nboresight_deg = {boresight_deg:?}\nnoise_sd_dn = 0.5\n\
              noise_autocorrelation = []\nresponse = 'gaussian'\ntruth = '../in/*_truth.csv'\nsbet = '../in/*.out'\n\
              [[stage]]\ntype = 'write_arrow'\npath = '../in/*.arrow'\n{calibrate}",
-            208_800 + 100 * number
+        208_800 + 100 * number
     )
 }
 

@@ -254,7 +254,11 @@ pub fn align_with(
     let control = problem.control_result(&state, &weighting, settings.cell_m);
     let result = report(&problem, state, &pairs, &solution, &weighting, &treatments, &before);
     let is_shared = time_errors.is_some_and(|own| own.factor > DOUBTFUL_SHARED);
-    let verdict = if control.contradicts() || is_shared { result.verdict.max(Verdict::Doubtful) } else { result.verdict };
+    let verdict = if control.contradicts() || is_shared {
+        result.verdict.max(Verdict::Doubtful)
+    } else {
+        result.verdict
+    };
     let control_points = control.differences.iter().filter(|own| own.iter().any(|one| one.is_used)).count();
     let with_control = |facts: FlightFacts| FlightFacts { control_points, ..facts };
     let facts = with_control(result.facts);

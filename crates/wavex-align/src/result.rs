@@ -381,12 +381,7 @@ fn covariance(problem: &Problem<'_>, solution: &Solution) -> Vec<Vec<f64>> {
 }
 
 /// Facts of the pairs with a strip of these installations.
-fn facts(
-    survey: &Survey<'_>,
-    state: &State,
-    pairs: &[Pair],
-    is_own: impl Fn(usize) -> bool,
-) -> FlightFacts {
+fn facts(survey: &Survey<'_>, state: &State, pairs: &[Pair], is_own: impl Fn(usize) -> bool) -> FlightFacts {
     let mut poses = survey.poses();
     let mut facts = FlightFacts { ranges_m: [f64::INFINITY, 0.0], ..FlightFacts::default() };
     let (mut sloped, mut n_pairs) = (0, 0_usize);

@@ -179,8 +179,7 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
     let written = write(request, &places, &survey, &result, &report)?;
     let mut text = words::summary(&places, &survey, &result, control.as_ref());
     let problem = words::problem(&places, &survey, &result);
-    let settings: Vec<Vec<String>> =
-        places.iter().map(|place| words::settings(place, &written)).collect();
+    let settings: Vec<Vec<String>> = places.iter().map(|place| words::settings(place, &written)).collect();
     let failure = if result.verdict == Verdict::Bad {
         problem.map(Failure::Run)
     } else {
@@ -281,9 +280,11 @@ fn references(
         let failed = survey.failures.iter().find(|failed| failed.name == *name);
         found.ok_or_else(|| match failed {
             Some(failed) => Failure::Run(format!("the reference strip cannot be used: {}", failed.problem)),
-            None => {
-                Failure::Wrong(unknown_reference(places, name, survey.strips.iter().map(|strip| &*strip.name)))
-            }
+            None => Failure::Wrong(unknown_reference(
+                places,
+                name,
+                survey.strips.iter().map(|strip| &*strip.name),
+            )),
         })
     };
     request.constraints.references.iter().map(index).collect()

@@ -32,7 +32,8 @@ fn two_days(first: &[&str], second: &[&str]) -> TestFolder {
                 place.write(&format!("{day}/{name}"), bytes);
             }
         }
-        let job = JOB.replace("in/*.arrow", &format!("{day}/*.arrow")).replace("in/*.out", &format!("{day}/*.out"));
+        let job =
+            JOB.replace("in/*.arrow", &format!("{day}/*.arrow")).replace("in/*.out", &format!("{day}/*.out"));
         place.write(&format!("{day}.toml"), format!("{job}[[stage]]\ntype = 'write_patches'\n").as_bytes());
     }
     place
@@ -55,36 +56,57 @@ fn each_job_gets_its_calibration() {
         assert!(out.contains(part), "{part}: {out}");
     }
     let report = report(&place, "aligned");
-    assert_eq!((&report["job"], &report["installations"][1]["name"]), (&"day1.toml, day2.toml".into(), &"day2".into()));
+    assert_eq!(
+        (&report["job"], &report["installations"][1]["name"]),
+        (&"day1.toml, day2.toml".into(), &"day2".into())
+    );
     let angles = ["boresight_roll_rad", "boresight_pitch_rad", "boresight_yaw_rad"];
     for (day, truth_deg) in [("day1", BORESIGHT_DEG), ("day2", OTHER_BORESIGHT_DEG)] {
-        let all = report["parameters"].as_array().unwrap().iter().filter(|found| found["installation"] == day);
+        let all =
+            report["parameters"].as_array().unwrap().iter().filter(|found| found["installation"] == day);
         let all: Vec<&Value> = all.collect();
         assert_eq!(all.len(), 14);
         for (angle, truth_deg) in angles.into_iter().zip(truth_deg) {
             let found = all.iter().find(|found| found["name"] == angle).unwrap();
             let (value, sd) = (found["value"].as_f64().unwrap(), found["sd"].as_f64().unwrap());
             let error = value - truth_deg.to_radians();
-            println!("{day} {angle}: error {:.2}, SD {:.2} mdeg", 1e3 * error.to_degrees(), 1e3 * sd.to_degrees());
+            println!(
+                "{day} {angle}: error {:.2}, SD {:.2} mdeg",
+                1e3 * error.to_degrees(),
+                1e3 * sd.to_degrees()
+            );
             assert!(error.abs() < 4.0 * sd && sd < 2e-4, "{found}");
         }
         let calibration = place.text(&format!("aligned/{day}/calibration.toml"));
         assert!(calibration.contains("boresight_deg = ["), "{calibration}");
     }
     let names = report["covariance"]["parameters"].as_array().unwrap();
-    assert!(names.contains(&"day1/boresight_roll_rad".into()) && names.contains(&"day2/boresight_roll_rad".into()));
+    assert!(
+        names.contains(&"day1/boresight_roll_rad".into())
+            && names.contains(&"day2/boresight_roll_rad".into())
+    );
     let named = |day: &str| {
         let corrections = place.text(&format!("aligned/{day}/corrections.toml"));
-        corrections.lines().filter(|line| line.starts_with("recording")).map(str::to_owned).collect::<Vec<_>>()
+        corrections
+            .lines()
+            .filter(|line| line.starts_with("recording"))
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
     };
     assert_eq!(named("day2"), ["recording = \"d\"", "recording = \"e\""]);
     assert!(!place.path("aligned/calibration.toml").exists());
     let page = page_of(&place, "aligned", "good", "good");
-    assert!(page.contains("<td>day2: boresight roll, deg</td>") && page.contains("day1.toml, day2.toml"), "{page}");
+    assert!(
+        page.contains("<td>day2: boresight roll, deg</td>") && page.contains("day1.toml, day2.toml"),
+        "{page}"
+    );
     // Patch files find their jobs.
     succeeds(&place, &["run", "day1.toml", "--quiet"]);
     succeeds(&place, &["run", "day2.toml", "--quiet"]);
-    succeeds(&place, &[&["align", "day1.toml", "day2.toml", "-o", "files", "--quiet", "--patches", "out"][..]].concat());
+    succeeds(
+        &place,
+        &[&["align", "day1.toml", "day2.toml", "-o", "files", "--quiet", "--patches", "out"][..]].concat(),
+    );
     for file in ["day1/calibration.toml", "day2/calibration.toml", "day2/corrections.toml", "align.json"] {
         assert!(place.text(&format!("aligned/{file}")) == place.text(&format!("files/{file}")), "{file}");
     }
@@ -109,10 +131,15 @@ fn jobs_that_do_not_fit_together_are_named() {
     let Outcome { out, err, .. } = succeeds(&place, &ALIGN);
     println!("{out}{err}");
     assert!(
-        err.contains("day1.toml and day2.toml share no smooth surface: each is aligned by itself, and a shift or tilt"),
+        err.contains(
+            "day1.toml and day2.toml share no smooth surface: each is aligned by itself, and a shift or tilt"
+        ),
         "{err}"
     );
-    assert!(place.path("aligned/day1/calibration.toml").exists() && !place.path("aligned/day2").exists(), "{out}");
+    assert!(
+        place.path("aligned/day1/calibration.toml").exists() && !place.path("aligned/day2").exists(),
+        "{out}"
+    );
     let refused = |more: &[&str]| {
         let arguments = [&["align", "day1.toml", "-o", "refused", "--quiet"], more].concat();
         let Outcome { code, err, .. } = place.wavex(&arguments);
@@ -121,7 +148,10 @@ fn jobs_that_do_not_fit_together_are_named() {
     };
     let day1 = place.text("day1.toml");
     place.write("twice.toml", day1.as_bytes());
-    assert!(refused(&["twice.toml"]).contains("twice.toml: day1/a.arrow is also an input of day1.toml; give each strip"));
+    assert!(
+        refused(&["twice.toml"])
+            .contains("twice.toml: day1/a.arrow is also an input of day1.toml; give each strip")
+    );
     place.write("other.toml", day1.replace("[job.geometry]", "[job.geometry]\ncrs = 'utm:32N'").as_bytes());
     let expected = "other.toml: `crs` of `[job.geometry]` is `utm:32N`, but not set in day1.toml; jobs that are aligned together";
     assert!(refused(&["other.toml"]).contains(expected));

@@ -43,7 +43,13 @@ fn rows_are_differences_of_residuals() {
         .map(|patch| survey.locate(&survey.patches[patch as usize], &state, &mut poses).unwrap().normal());
     let mean: [f64; 3] = core::array::from_fn(|axis| normals[0][axis] + normals[1][axis]);
     pair.direction = mean.map(|part| (part / length(mean)) as f32);
-    let weighting = Weighting { scale: 1.0, huber: f64::INFINITY, reject: f64::INFINITY, control_scale: 1.0, shared: 1.0 };
+    let weighting = Weighting {
+        scale: 1.0,
+        huber: f64::INFINITY,
+        reject: f64::INFINITY,
+        control_scale: 1.0,
+        shared: 1.0,
+    };
     let weight = weighting.weight(&pair, 0.0);
     let normal = problem.normal(&state, &[pair], &weighting, true);
     let residual = problem.residuals(&state, &[pair])[0].unwrap();
@@ -452,6 +458,6 @@ fn a_strip_of_another_installation_stands_out() {
     let mut flight = plan.fly();
     assert!(aligned(&flight).misplaced_strips().is_empty());
     flight.strips[1].installation = 1;
-        let found = aligned(&flight).misplaced_strips();
+    let found = aligned(&flight).misplaced_strips();
     assert!(found[0].strip == 1 && found.iter().all(|own| own.strip != 0), "{found:?}");
 }

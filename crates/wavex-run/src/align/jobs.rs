@@ -71,14 +71,16 @@ pub(super) fn places<'a>(request: &AlignRequest<'a>) -> Result<Vec<JobPlace<'a>>
     };
     for other in others {
         let (own, of_first) = (&other.job.settings.geometry, &first.job.settings.geometry);
-        let unit = |keys: &wavex_line::georef::keys::GeometryKeys| keys.unit.map(|unit| super::unit_of(unit).name);
+        let unit =
+            |keys: &wavex_line::georef::keys::GeometryKeys| keys.unit.map(|unit| super::unit_of(unit).name);
         for (key, own, of_first) in [
             ("crs", own.crs.clone(), of_first.crs.clone()),
             ("geoid", own.geoid.clone(), of_first.geoid.clone()),
             ("unit", unit(own).map(Into::into), unit(of_first).map(Into::into)),
         ] {
             if own != of_first {
-                let word = |value: Option<String>| value.map_or("not set".to_owned(), |value| format!("`{value}`"));
+                let word =
+                    |value: Option<String>| value.map_or("not set".to_owned(), |value| format!("`{value}`"));
                 return Err(Failure::Wrong(format!(
                     "{}: `{key}` of `[job.geometry]` is {}, but {} in {}; jobs that are aligned together need the same \
                      coordinate reference system",

@@ -9,15 +9,15 @@ use super::strips::SurveyStrips;
 use super::{AlignRequest, TrajectoryModel, words};
 use crate::archive::size_and_digest_of;
 use wavex_align::estimable::{FlightFacts, Treatment, reasons};
-use wavex_align::result::{Alignment, OverlapResult, ParameterResult, StripResult};
 use wavex_align::parameters::{GLOBALS, Global};
+use wavex_align::result::{Alignment, OverlapResult, ParameterResult, StripResult};
 use wavex_engine::build;
 use wavex_geodesy::trajectory::corrections::CorrectionKnot;
 use wavex_line::georef::keys::CalibrationKey;
 use wavex_pages::report::align::{
-    AlignReport, AlignedInstallation, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest, Flight, Knot,
-    NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, SdFactor, SharedErrors, TrajectoryForm,
-    TrajectorySds, TrajectoryWord, VERSION,
+    AlignReport, AlignedInstallation, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest,
+    Flight, Knot, NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, SdFactor, SharedErrors,
+    TrajectoryForm, TrajectorySds, TrajectoryWord, VERSION,
 };
 
 /// Everything that an alignment found.
@@ -52,10 +52,9 @@ pub(super) fn report(
     };
     let parameters = installations(places, result).flat_map(|own| {
         let name = own.name.map(str::to_owned);
-        own.parameters.iter().map(move |found| AlignedParameter {
-            installation: name.clone(),
-            ..parameter(found, own.facts)
-        })
+        own.parameters
+            .iter()
+            .map(move |found| AlignedParameter { installation: name.clone(), ..parameter(found, own.facts) })
     });
     AlignReport {
         version: VERSION,

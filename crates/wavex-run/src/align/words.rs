@@ -4,13 +4,14 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use super::control::Control;
-use super::strips::SurveyStrips;
 use super::installations::{installations, misplaced};
 use super::jobs::JobPlace;
+use super::strips::SurveyStrips;
 use super::{CALIBRATION_FILE, CORRECTIONS_FILE};
 use crate::from_returns::writes_returns;
 use wavex_align::estimable::{
-    DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, DOUBTFUL_SHARED, FlightFacts, Treatment, Verdict, reasons,
+    DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, DOUBTFUL_SHARED, FlightFacts, Treatment, Verdict,
+    reasons,
 };
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult};
 use wavex_engine::job::Job;
@@ -88,11 +89,7 @@ fn before_and_after([before_m, after_m]: [f64; 2]) -> String {
 }
 
 /// What is wrong with an alignment that is not good, and what to do.
-pub(super) fn problem(
-    places: &[JobPlace<'_>],
-    survey: &SurveyStrips,
-    result: &Alignment,
-) -> Option<String> {
+pub(super) fn problem(places: &[JobPlace<'_>], survey: &SurveyStrips, result: &Alignment) -> Option<String> {
     let remedy = remedy(result.verdict)?;
     Some(format!(
         "the alignment is {}: {}; {remedy}",
@@ -135,7 +132,8 @@ pub(super) fn causes(places: &[JobPlace<'_>], survey: &SurveyStrips, result: &Al
     }
     causes.extend(misplaced(survey, result));
     causes.extend(shared_errors(result));
-    let all = installations(places, result).flat_map(|own| own.parameters.iter().map(move |one| (own.name, one)));
+    let all =
+        installations(places, result).flat_map(|own| own.parameters.iter().map(move |one| (own.name, one)));
     let moved = all.filter(|(_, found)| found.change_sds() > DOUBTFUL_CHANGE_SDS);
     causes.extend(moved.map(|(installation, found)| {
         let (name, unit_name, unit) = found.parameter.label();

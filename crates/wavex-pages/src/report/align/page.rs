@@ -384,7 +384,8 @@ fn flight_and_files(report: &AlignReport) -> Markup {
         .map(|strip| file("recording", &strip.recording, strip.bytes, strip.blake3.as_ref()));
     let trajectories = report.trajectories.iter().map(of("trajectory"));
     let calibration = report.calibration.iter().map(of("calibration"));
-    let of_jobs = report.installations.iter().filter_map(|own| own.calibration.as_ref()).map(of("calibration"));
+    let of_jobs =
+        report.installations.iter().filter_map(|own| own.calibration.as_ref()).map(of("calibration"));
     let files = calibration.chain(of_jobs).chain(trajectories).chain(recordings);
     let left_out = (report.strips.len() + report.trajectories.len()).saturating_sub(MOST_FILES);
     html! {
