@@ -7,9 +7,9 @@ use arrow_array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt64Array}
 use arrow_schema::ArrowError;
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyList};
 
-use wavex::align::{AlignConstraints, AlignRequest, Aligned, OptionalParameter, TrajectoryModel};
+use wavex::align::{AlignConstraints, AlignJob, AlignRequest, Aligned, OptionalParameter, TrajectoryModel};
 use wavex::engine::{Cancel, ProgressMode};
 use wavex::report::align::{
     AlignReport, AlignedParameter, AlignedStrip, Knot, Overlap, ParameterTreatment, residual_batches,
@@ -32,8 +32,9 @@ pub struct Alignment {
 ///
 /// Parameters
 /// ----------
-/// job : Job, str or os.PathLike
-///     A job over the strips, with a trajectory and the stage ``georeference``, or the path of a job file.
+/// job : Job, str, os.PathLike, or list of paths
+///     A job over the strips, with a trajectory and the stage ``georeference``, or the path of a job file. Several job files
+///     if strips were flown with several mounts, one for each.
 /// output : str or os.PathLike
 ///     Folder to write; existing files are replaced.
 /// trajectory : str or float, optional
@@ -79,7 +80,11 @@ pub fn align(
     patches: Option<Vec<PathBuf>>,
     set: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Alignment> {
-    let (parsed, folder) = job_of(py, job, set)?;
+    let jobs = match job.cast::<PyList>() {
+        Ok(list) => list.iter().map(|job| job_of(py, &job, set)).collect::<PyResult<Vec<_>>>()?,
+        Err(_) => vec![job_of(py, job, set)?],
+    };
+    let jobs: Vec<AlignJob<'_>> = jobs.iter().map(|(job, folder)| AlignJob { job, folder }).collect();
     let estimate = estimate.unwrap_or_default();
     let constraints = AlignConstraints {
         control,
@@ -99,8 +104,7 @@ pub fn align(
         |_| Ok(()),
         || {
             wavex::align::align(&AlignRequest {
-                job: &parsed,
-                folder: &folder,
+                jobs: &jobs,
                 output: &output,
                 trajectory,
                 constraints: constraints.clone(),
@@ -186,6 +190,7 @@ impl Alignment {
 
     /// Parameters with start value, value, SDs and treatment.
     ///
+    /// With several jobs, the first column is ``installation``, the name of the job.
     /// ``treatment`` is ``given``, ``estimated``, ``not_estimable`` or ``only_combined``; ``reasons`` says why the
     /// flight does not determine a parameter, and what to fly.
     #[getter]
@@ -202,7 +207,9 @@ impl Alignment {
                     .join("; ")
             })
             .collect();
-        table(vec![
+        let installation = || all().map(|found| found.installation.as_deref());
+        let of_several = || ("installation", texts(installation().map(Option::unwrap_or_default)));
+        let own = vec![
             ("name", texts(all().map(|found| found.name.as_str()))),
             ("start", number(|found| found.start)),
             ("value", number(|found| found.value)),
@@ -212,7 +219,9 @@ impl Alignment {
             ("prior_sd", number(|found| found.prior_sd)),
             ("treatment", texts(treatments.iter().map(String::as_str))),
             ("reasons", texts(reasons.iter().map(String::as_str))),
-        ])
+        ];
+        let has_several = installation().all(|name| name.is_some());
+        table(has_several.then(of_several).into_iter().chain(own).collect())
     }
 
     /// Names of the rows and columns of :attr:`covariance`.

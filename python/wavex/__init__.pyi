@@ -348,7 +348,7 @@ class Alignment:
     def text(self) -> str: ...
 
 def align(
-    job: Job | _Path,
+    job: Job | _Path | list[Job | _Path],
     output: _Path,
     *,
     trajectory: str | float | None = None,

@@ -8,7 +8,7 @@ use super::{Failure, run, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::Override;
 use wavex_run::align::clouds::{CloudsRequest, POSITION_SD_M, align_clouds, are_clouds};
-use wavex_run::align::{AlignConstraints, AlignRequest, Aligned};
+use wavex_run::align::{AlignConstraints, AlignJob, AlignRequest, Aligned};
 use wavex_run::archive::shown;
 use wavex_run::from_returns::from_returns;
 use wavex_run::run::RunRequest;
@@ -18,17 +18,20 @@ pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
     if are_clouds(&args.inputs) {
         return clouds(args, quiet);
     }
-    let job_args = job_of(args)?;
+    let jobs_args = jobs_of(args)?;
     let threads = args.threads.map(|threads| Override::new(format!("job.threads={threads}")));
-    let (job, folder) = (job_args.read(threads.clone())?, job_args.folder());
     // Patches replace the recordings, decomposed or not.
     let is_from_returns = args.from_returns || args.apply && args.patches.is_empty();
-    let job = if is_from_returns { from_returns(&job, &folder)? } else { job };
+    let mut jobs = Vec::new();
+    for job_args in &jobs_args {
+        let (job, folder) = (job_args.read(threads.clone())?, job_args.folder());
+        jobs.push((if is_from_returns { from_returns(&job, &folder)? } else { job }, folder));
+    }
+    let jobs: Vec<AlignJob<'_>> = jobs.iter().map(|(job, folder)| AlignJob { job, folder }).collect();
     let cancel = Cancel::default();
     run::stop_on_signals(&cancel, run::end_run);
     let request = AlignRequest {
-        job: &job,
-        folder: &folder,
+        jobs: &jobs,
         output: &args.output,
         trajectory: args.alignment.trajectory,
         constraints: args.alignment.constraints(),
@@ -37,14 +40,19 @@ pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
         cancel: cancel.clone(),
     };
     let aligned = wavex_run::align::align(&request)?;
-    let settings = aligned.settings.clone().into_iter().map(Override::new);
+    let settings = aligned.settings.clone();
     show(aligned, quiet)?;
     if !args.apply {
         return Ok(());
     }
-    let job = from_returns(&job_args.read(settings.chain(threads))?, &folder)?;
-    let machine = MachineArgs { threads: args.threads, profile: false, progress: args.progress };
-    run::run_job(RunRequest { cancel, ..RunRequest::quiet(&job, &folder) }, machine, quiet).map(drop)
+    for (job_args, settings) in jobs_args.iter().zip(settings) {
+        let (settings, folder) = (settings.into_iter().map(Override::new), job_args.folder());
+        let job = from_returns(&job_args.read(settings.chain(threads.clone()))?, &folder)?;
+        let machine = MachineArgs { threads: args.threads, profile: false, progress: args.progress };
+        let cancel = cancel.clone();
+        run::run_job(RunRequest { cancel, ..RunRequest::quiet(&job, &folder) }, machine, quiet)?;
+    }
+    Ok(())
 }
 
 /// Prints an alignment.
@@ -86,18 +94,19 @@ fn clouds(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
     aligned.failure.map_or(Ok(()), Err)
 }
 
-/// The job of a survey.
-fn job_of(args: &AlignArgs) -> Result<JobArgs, Failure> {
+/// The jobs of a survey.
+fn jobs_of(args: &AlignArgs) -> Result<Vec<JobArgs>, Failure> {
     let wrong = |problem: &str| Err(Failure::Wrong(problem.to_owned()));
-    let [job] = args.inputs.as_slice() else {
-        return wrong("give one job (.toml), or clouds of points (.las, .laz, folders of them), not both");
-    };
+    let is_job = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("toml"));
+    if args.inputs.len() > 1 && !args.inputs.iter().all(is_job) {
+        return wrong("give jobs (.toml), or clouds of points (.las, .laz, folders of them), not both");
+    }
     if args.by_source || args.position_sd.is_some() {
         return wrong(
             "`--by-source` and `--position-sd` are for clouds of points (.las, .laz); leave them out for a job",
         );
     }
-    Ok(JobArgs { job: job.clone(), set: args.set.clone() })
+    Ok(args.inputs.iter().map(|job| JobArgs { job: job.clone(), set: args.set.clone() }).collect())
 }
 
 /// Prints results and warnings.

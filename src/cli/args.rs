@@ -384,7 +384,7 @@ pub(super) struct AlignmentArgs {
     /// `crs` of the job]
     #[arg(long, value_name = "CRS", requires = "control")]
     pub(super) control_crs: Option<String>,
-    /// Strip whose trajectory is not corrected: the others are aligned to it; may be repeated
+    /// Strip whose trajectory is not corrected: the others are aligned to it; may be repeated. Of several jobs, JOB/STRIP
     #[arg(long, value_name = "STRIP")]
     pub(super) reference: Vec<String>,
     /// Estimate these parameters too, separated by commas: e1 (range scale), e2, e3, e4 (scan angle scale, quadratic,
@@ -396,8 +396,8 @@ pub(super) struct AlignmentArgs {
 /// Survey to align.
 #[derive(Args)]
 pub(super) struct AlignArgs {
-    /// Job of the survey (TOML), `-` for standard input; or clouds of points without trajectory: .las and .laz files, or
-    /// folders or patterns of them
+    /// Job of the survey (TOML), `-` for standard input; several jobs if strips were flown with several mounts; or clouds of
+    /// points without trajectory: .las and .laz files, or folders or patterns of them
     #[arg(required = true, value_name = "JOB|CLOUD")]
     pub(super) inputs: Vec<PathBuf>,
     /// Override a key of the job for this run: STAGE is the stage's id or type, or `job`; may be
@@ -405,7 +405,8 @@ pub(super) struct AlignArgs {
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
     /// Folder to write: report (align.json, align.html) and, of a job, calibration, corrections and residuals, of clouds,
-    /// corrections.csv; existing files are replaced
+    /// corrections.csv; existing files are replaced. Of several jobs, calibration and corrections of each are in a folder with
+    /// its name
     #[arg(short, long, value_name = "FOLDER")]
     pub(super) output: PathBuf,
     #[command(flatten)]

@@ -6,9 +6,8 @@ use std::path::Path;
 use super::args::{CollectArgs, PlanArgs};
 use super::{Failure, align, print, terminal};
 use wavex_engine::engine::{Cancel, ProgressMode};
-use wavex_engine::job::Job;
 use wavex_line::georef::check_crs;
-use wavex_run::align::{AlignConstraints, AlignRequest, TrajectoryModel, check_early};
+use wavex_run::align::{AlignConstraints, AlignJob, AlignRequest, TrajectoryModel, check_early};
 use wavex_run::archive::check_destination;
 use wavex_run::cluster::{self, PlanOptions, SurveyPlan};
 
@@ -32,7 +31,8 @@ pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
     if let Some(archive) = args.archive.as_ref().filter(|archive| !archive.exists()) {
         check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
     }
-    let align = align_request(args, &job, &folder)?;
+    let jobs = [AlignJob { job: &job, folder: &folder }];
+    let align = align_request(args, &jobs)?;
     let options = PlanOptions {
         folder: &args.output,
         job_dir: &folder,
@@ -53,8 +53,7 @@ pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
 /// The alignment that `wavex collect` makes, checked as far as it can be before the tasks have run.
 fn align_request<'a>(
     args: &'a PlanArgs,
-    job: &'a Job,
-    folder: &'a Path,
+    jobs: &'a [AlignJob<'a>],
 ) -> Result<Option<AlignRequest<'a>>, Failure> {
     let (trajectory, constraints) = (args.alignment.trajectory, args.alignment.constraints());
     let Some(output) = &args.align else {
@@ -65,8 +64,7 @@ fn align_request<'a>(
         return Ok(None);
     };
     let request = AlignRequest {
-        job,
-        folder,
+        jobs,
         output,
         trajectory,
         constraints,

@@ -14,6 +14,7 @@ use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_testkit::flight::files;
 use wavex_testkit::{Outcome, TestFolder};
 
+mod installations;
 mod patches;
 
 /// Lever arm and boresight of the flights.
@@ -51,20 +52,39 @@ static FLOWN: LazyLock<BTreeMap<String, Vec<u8>>> = LazyLock::new(|| {
             }
             _ => "",
         };
-        let made = place.run(&format!(
-            "[[stage]]\ntype = 'simulate'\nstem = '{stem}'\nscene_seed = 1\nseed = {number}\nlines = {lines}\n\
-             shots_per_line = 120\nlandscape = 'country'\nwood_ratio = 0.1\nwater_ratio = 0.0\nwire_height_m = 0.0\n\
-             {land}\nflying_height_m = 120\nspeed_mps = 25\npulse_rate_hz = 7000\nroll_deg = 2.0\npitch_deg = 2.0\n\
-             motion_period_s = 3.0\ntrack_direction_deg = {direction_deg:?}\ntrack_offset_m = {offset_m:?}\n\
-             start_time_s = {}\nlever_arm_m = {LEVER_ARM_M:?}\nboresight_deg = {BORESIGHT_DEG:?}\nnoise_sd_dn = 0.5\n\
-             noise_autocorrelation = []\nresponse = 'gaussian'\ntruth = '../in/*_truth.csv'\nsbet = '../in/*.out'\n\
-             [[stage]]\ntype = 'write_arrow'\npath = '../in/*.arrow'\n{calibrate}",
-            208_800 + 100 * number
+        let made = place.run(&simulation(
+            stem,
+            number,
+            (direction_deg, offset_m, lines),
+            BORESIGHT_DEG,
+            &format!("{land}\n"),
+            calibrate,
         ));
         assert_eq!(made, Outcome::success());
     }
     files(&place.path("in"))
 });
+
+/// Job that simulates a strip with this direction, offset and number of lines.
+fn simulation(
+    stem: &str,
+    number: usize,
+    (direction_deg, offset_m, lines): (f64, [f64; 2], usize),
+    boresight_deg: [f64; 3],
+    land: &str,
+    calibrate: &str,
+) -> String {
+    format!(
+        "[[stage]]\ntype = 'simulate'\nstem = '{stem}'\nscene_seed = 1\nseed = {number}\nlines = {lines}\n\
+             shots_per_line = 120\nlandscape = 'country'\nwood_ratio = 0.1\nwater_ratio = 0.0\nwire_height_m = 0.0\n\
+             {land}flying_height_m = 120\nspeed_mps = 25\npulse_rate_hz = 7000\nroll_deg = 2.0\npitch_deg = 2.0\n\
+             motion_period_s = 3.0\ntrack_direction_deg = {direction_deg:?}\ntrack_offset_m = {offset_m:?}\n\
+             start_time_s = {}\nlever_arm_m = {LEVER_ARM_M:?}\nboresight_deg = {boresight_deg:?}\nnoise_sd_dn = 0.5\n\
+             noise_autocorrelation = []\nresponse = 'gaussian'\ntruth = '../in/*_truth.csv'\nsbet = '../in/*.out'\n\
+             [[stage]]\ntype = 'write_arrow'\npath = '../in/*.arrow'\n{calibrate}",
+        208_800 + 100 * number
+    )
+}
 
 /// A survey of these strips with the job `survey.toml`.
 fn survey(strips: &[&str]) -> TestFolder {
@@ -249,8 +269,8 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
     let commands: Vec<String> = page
         .lines()
         .filter_map(|line| line.strip_prefix("wavex "))
-        // Commands for clouds of points: align_clouds.rs.
-        .filter(|command| !command.contains(".laz"))
+        // Commands for clouds of points: align_clouds.rs; for several jobs: installations.rs.
+        .filter(|command| !command.contains(".laz") && !command.contains("day2"))
         .map(|command| command.replace('"', ""))
         .collect();
     assert_eq!(commands.len(), 8, "{commands:?}");

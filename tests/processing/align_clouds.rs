@@ -384,7 +384,7 @@ fn clouds_that_cannot_be_aligned_are_refused_with_a_remedy() {
             2,
             "`--set` overrides keys of a job",
         ),
-        (&["a.las", "survey.toml", "-o", "aligned"], 2, "give one job (.toml), or clouds of points"),
+        (&["a.las", "survey.toml", "-o", "aligned"], 2, "give jobs (.toml), or clouds of points"),
         (&["survey.toml", "-o", "aligned", "--by-source"], 2, "are for clouds of points"),
         (
             &["a.las", "b.las", "-o", "aligned", "--reference", "a"],

@@ -37,16 +37,18 @@ def values_of(calibration):
                             calibration.get("time_offset_s", 0)]))
 
 
-def distances(folder, survey, truth, values, knots):
+def distances(folder, survey, truth, of_days, knots):
     """Distances of sample points from the truth, and their vectors' means by strip, m."""
-    mount = make_alignment.roll_pitch_yaw(numpy.radians(survey["mount_deg"]))
-    calibration = {
-        "lever_arm_m": [values[name] for name in NAMES[:3]],
-        "boresight_deg": numpy.degrees([values[name] for name in NAMES[3:6]]),
-        "e0": values["e0_m"],
-    }
     found = []
     for strip, true, own in zip(survey["strips"], truth["strips"], knots):
+        installation = strip["installation"]
+        mount = make_alignment.roll_pitch_yaw(numpy.radians(survey["installations"][installation]["mount_deg"]))
+        values = of_days[installation]
+        calibration = {
+            "lever_arm_m": [values[name] for name in NAMES[:3]],
+            "boresight_deg": numpy.degrees([values[name] for name in NAMES[3:6]]),
+            "e0": values["e0_m"],
+        }
         rows = numpy.fromfile(folder / strip["trajectory"]).reshape(-1, 7)
         t = numpy.array(true["sample_time_s"]) + values["time_offset_s"]
         latitude, longitude, height, *attitude = (numpy.interp(t, rows[:, 0], rows[:, k]) for k in range(1, 7))
@@ -72,11 +74,16 @@ def fly(program, folder, options):
         sys.exit(f"FAILED: {done.stderr}")
     result = json.loads(done.stdout)
     survey, truth = (json.loads((folder / name).read_text()) for name in ("survey.json", "truth.json"))
-    true = values_of(truth["calibration"])
-    start = values_of(survey["calibration"])
-    parameters = {p["name"]: p for p in result["parameters"] if p["prior_sd"] > 0}
-    errors = {name: (p["value"] - true[name], p["sd"], p["treatment"]) for name, p in parameters.items()}
-    values = start | {name: p["value"] for name, p in parameters.items()}
+    # Per parameter, one of each day.
+    errors = {}
+    starts, values = [], []
+    for found, given, true in zip(result["parameters"], survey["installations"], truth["calibrations"]):
+        true = values_of(true)
+        starts.append(values_of(given["calibration"]))
+        parameters = {p["name"]: p for p in found if p["prior_sd"] > 0}
+        for name, p in parameters.items():
+            errors.setdefault(name, []).append((p["value"] - true[name], p["sd"], p["treatment"]))
+        values.append(starts[-1] | {name: p["value"] for name, p in parameters.items()})
     drift = []
     ratios = []
     for strip, of_truth in zip(result["strips"], truth["strips"]):
@@ -91,7 +98,7 @@ def fly(program, folder, options):
         exact = numpy.stack([numpy.interp([k["time_s"] for k in knots], times, offsets[:, j]) for j in range(6)], -1)
         sds = numpy.array([knot["sds"] for knot in knots])
         ratios.append(((at - exact) / numpy.where(sds > 0, sds, numpy.nan)))
-    before = distances(folder, survey, truth, start, [None] * len(truth["strips"]))
+    before = distances(folder, survey, truth, starts, [None] * len(truth["strips"]))
     after = distances(folder, survey, truth, values, [strip["knots"] for strip in result["strips"]])
     spread = [rms(numpy.linalg.norm(d - d.mean(0), axis=1)) for d in (before, after)]
     return {
@@ -105,7 +112,7 @@ def summary(flights):
     print(f"\n{'parameter':22} {'estimated':>9} {'combined':>8} {'RMS error':>12} {'mean':>8} {'mean SD':>9} {'errors/SD':>9} {'< 1 SD':>7} {'< 2 SD':>7}")
     every = []
     for name in flights[0]["errors"]:
-        of_flights = [flight["errors"][name] for flight in flights]
+        of_flights = [own for flight in flights for own in flight["errors"][name]]
         estimated = [(error, sd) for error, sd, treatment in of_flights if treatment != "NotEstimable"]
         combined = sum(treatment == "OnlyCombined" for *_, treatment in of_flights)
         factor, unit = printed(name)
@@ -150,7 +157,7 @@ def main():
             flights.append(fly(options.program, Path(folder), flown))
         own = flights[-1]
         result = own["result"]
-        z = rms([error / sd for error, sd, _ in own["errors"].values()])
+        z = rms([error / sd for of_days in own["errors"].values() for error, sd, _ in of_days])
         print(f"flight {flown.seed}: {result['n_pairs']} pairs, scale {result['scale']:.2f}, errors/SD {z:.2f}, differences "
               f"{result['spread_m'][0] * 1e3:.1f} -> {result['spread_m'][1] * 1e3:.2f} mm, points {own['points'][0] * 1e3:.1f} -> "
               f"{own['points'][1] * 1e3:.1f} mm, {result['verdict']}, {result['seconds'][0]:.1f} + {result['seconds'][1]:.1f} s", flush=True)

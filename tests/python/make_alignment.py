@@ -143,16 +143,44 @@ class Strip:
 
 
 class Errors:
-    """Errors of a strip's trajectory: a constant and a wave of random phase, per component."""
+    """Errors of a strip's trajectory: a constant and a wave of random phase, per component, and disturbances."""
 
-    def __init__(self, constant_sds, wave_sds, period_s, random):
+    def __init__(self, constant_sds, wave_sds, period_s, random, disturbance):
         self.constants = random.normal(0, constant_sds)
         self.sines, self.cosines = random.normal(0, wave_sds), random.normal(0, wave_sds)
         self.w = 2 * numpy.pi / (period_s * random.uniform(0.8, 1.25, len(constant_sds)))
+        self.disturbance = disturbance
 
     def at(self, t):
         t = numpy.asarray(t)[..., None]
-        return self.constants + self.sines * numpy.sin(self.w * t) + self.cosines * numpy.cos(self.w * t)
+        waves = self.sines * numpy.sin(self.w * t) + self.cosines * numpy.cos(self.w * t)
+        return self.constants + waves + self.disturbance.at(t)
+
+
+class Disturbance:
+    """Errors that the stated SDs of the trajectories do not contain, from numbers of their own."""
+
+    STEP_S = 0.5
+
+    def __init__(self, options, span_s, random):
+        count = int((span_s[1] - span_s[0] + 10) / self.STEP_S) + 2
+        self.times_s = span_s[0] - 5 + self.STEP_S * numpy.arange(count)
+        steps = random.normal(0, options.walk_m * numpy.sqrt(self.STEP_S / 60), (count, 3))
+        self.walk_m = numpy.cumsum(steps, 0)
+        self.walk_m -= self.walk_m.mean(0)
+        self.jump_m = random.normal(0, options.jump_m, 3)
+        self.middle_s = numpy.mean(span_s)
+        self.drifts = random.normal(0, options.imu_drift_mdeg * numpy.array([1, 1, 3]) * MILLIDEGREE / 60)
+        self.phase = random.uniform(0, 2 * numpy.pi)
+        self.amplitude, self.period_s = options.oscillation[0] * MILLIDEGREE, options.oscillation[1]
+
+    def at(self, t):
+        found = numpy.zeros((*t.shape[:-1], 6))
+        for axis in range(3):
+            found[..., axis] = self.jump_m[axis] + numpy.interp(t[..., 0], self.times_s, self.walk_m[:, axis])
+        found[..., 3:] = self.drifts * (t - self.middle_s)
+        found[..., 5] += self.amplitude * numpy.sin(2 * numpy.pi * t[..., 0] / self.period_s + self.phase)
+        return found
 
 
 def frames(positions, attitudes):
@@ -198,42 +226,58 @@ def plan_of(kind, height, length, spacing, random):
     return lines
 
 
+MOUNTS_DEG = [[0.0, 0.0, 0.0], [0.0, 0.0, 180.0], [0.0, 8.0, 0.0]]
+
+
+class Day:
+    """An installation: its mount, true calibration, start values, and their SDs."""
+
+    def __init__(self, options, mount_deg, random):
+        self.mount_deg, self.mount = mount_deg, roll_pitch_yaw(numpy.radians(mount_deg))
+        scale = options.misalignment
+        self.nominal = nominal = {"lever_arm_m": [0.3, -0.2, 0.8], "boresight_deg": [0.0, 0.0, 0.0], "e0": 0.0}
+        lever_sd, e0_sd, time_sd = 0.02, 0.03, 1e-3
+        self.truth = truth = {
+            "lever_arm_m": (nominal["lever_arm_m"] + scale * random.normal(0, lever_sd, 3)).tolist(),
+            "boresight_deg": (scale * random.normal(0, [0.1, 0.1, 0.2])).tolist(),
+            "e0": scale * random.normal(0, e0_sd),
+            "time_offset_s": scale * random.normal(0, time_sd),
+        }
+        if options.boresight_deg:
+            truth["boresight_deg"] = options.boresight_deg
+        if options.shift_m:
+            nominal["lever_arm_m"] = (numpy.array(truth["lever_arm_m"]) + options.shift_m).tolist()
+        degrees = [0.3, 0.3, 0.6] if not options.boresight_deg else [1.0, 1.0, 3.0]
+        lever_sds = [lever_sd] * 3 if not options.shift_m else [2.0] * 3
+        self.prior_sds = [*lever_sds, *numpy.radians(degrees), e0_sd, 0, 0, 0, 0, 0, 0, time_sd]
+        if options.aligned:
+            # A survey that was aligned before: start values have the SDs of an alignment.
+            self.prior_sds = [0.02, 0.02, 0.02, *numpy.radians(degrees), e0_sd, 0, 0, 0, 0, 0, 0, time_sd]
+            nominal |= {key: truth[key] for key in ("lever_arm_m", "boresight_deg", "e0")}
+            truth["time_offset_s"] = 0.0
+
+
 def make(folder, options):
     random = numpy.random.default_rng(options.seed)
     folder.mkdir(parents=True, exist_ok=True)
     terrain = Terrain(options.terrain, random)
-    mount_deg = [0.0, 0.0, 0.0]
-    mount = roll_pitch_yaw(numpy.radians(mount_deg))
-    scale = options.misalignment
-    nominal = {"lever_arm_m": [0.3, -0.2, 0.8], "boresight_deg": [0.0, 0.0, 0.0], "e0": 0.0}
-    lever_sd, e0_sd, time_sd = 0.02, 0.03, 1e-3
-    truth = {
-        "lever_arm_m": (nominal["lever_arm_m"] + scale * random.normal(0, lever_sd, 3)).tolist(),
-        "boresight_deg": (scale * random.normal(0, [0.1, 0.1, 0.2])).tolist(),
-        "e0": scale * random.normal(0, e0_sd),
-        "time_offset_s": scale * random.normal(0, time_sd),
-    }
-    if options.boresight_deg:
-        truth["boresight_deg"] = options.boresight_deg
-    if options.shift_m:
-        nominal["lever_arm_m"] = (numpy.array(truth["lever_arm_m"]) + options.shift_m).tolist()
-    degrees = [0.3, 0.3, 0.6] if not options.boresight_deg else [1.0, 1.0, 3.0]
-    lever_sds = [lever_sd] * 3 if not options.shift_m else [2.0] * 3
-    prior_sds = [*lever_sds, *numpy.radians(degrees), e0_sd, 0, 0, 0, 0, 0, 0, time_sd]
-    if options.aligned:
-        # A survey that was aligned before: start values have the SDs of an alignment.
-        prior_sds = [0.02, 0.02, 0.02, *numpy.radians(degrees), e0_sd, 0, 0, 0, 0, 0, 0, time_sd]
-        nominal |= {key: truth[key] for key in ("lever_arm_m", "boresight_deg", "e0")}
-        truth["time_offset_s"] = 0.0
+    # Numbers of their own: surveys without disturbances are those of the same seed with them.
+    of_disturbances, of_days = (numpy.random.default_rng([options.seed, k]) for k in (1, 2))
+    days = [Day(options, MOUNTS_DEG[day], random if day == 0 else of_days) for day in range(options.days)]
     constant_sds = options.trajectory * numpy.array([0.012, 0.012, 0.012, *(numpy.array([0.4, 0.4, 1.2]) * MILLIDEGREE)])
     wave_sds = options.trajectory * numpy.array([0.010, 0.010, 0.010, *(numpy.array([0.3, 0.3, 0.9]) * MILLIDEGREE)])
     total_sds = numpy.hypot(constant_sds, wave_sds)
     strips, truths, control = [], [], []
     start_s = 100000.0
     heights = terrain.ground(*numpy.meshgrid(numpy.arange(-3200, 3200, 10.0), numpy.arange(-3200, 3200, 10.0), indexing="ij"))
-    for index, (start, course, length) in enumerate(plan_of(options.plan, options.height, options.length, options.spacing, random)):
+    lines_flown = plan_of(options.plan, options.height, options.length, options.spacing, random)
+    for index, (start, course, length) in enumerate(lines_flown):
+        installation = index * options.days // len(lines_flown)
+        day = days[installation]
+        mount, truth = day.mount, day.truth
         strip = Strip(start, course, length, options.height, options.speed, start_s, options.sway, random)
-        errors = Errors(constant_sds, wave_sds, 120.0, random)
+        disturbance = Disturbance(options, strip.span_s, of_disturbances)
+        errors = Errors(constant_sds, wave_sds, 120.0, random, disturbance)
         start_s = strip.span_s[1] + 200
         # Trajectory as recorded.
         t = numpy.arange(strip.span_s[0] - 2, strip.span_s[1] + 2, 0.01)
@@ -302,7 +346,7 @@ def make(folder, options):
         raw = (far - truth["e0"] + random.normal(0, sd, shots)) / (1 + truth.get("e1", 0))
         columns = [t - truth["time_offset_s"], recorded_directions, raw, numpy.full(shots, sd), n_returns, numpy.zeros(shots)]
         numpy.column_stack(columns)[keep].astype("<f8").tofile(folder / f"points{index}.bin")
-        strips.append({"points": f"points{index}.bin", "trajectory": f"trajectory{index}.bin"})
+        strips.append({"points": f"points{index}.bin", "trajectory": f"trajectory{index}.bin", "installation": installation})
         # Truth for a few beams, and the corrections over time.
         sample = random.choice(numpy.nonzero(keep & ~is_tree)[0], 300, replace=False)
         exact = ecef_of_scene(starts[sample] + (far[sample, None]) * rays[sample])
@@ -340,12 +384,14 @@ def make(folder, options):
     trajectory_sds = numpy.maximum(total_sds, 1e-9) * numpy.repeat(options.sd_factors, 3)
     survey = {
         "control": control, "fits_trajectory_sds": not options.given_sds,
-        "calibration": nominal, "mount_deg": mount_deg, "prior_sds": list(map(float, prior_sds)),
+        "installations": [
+            {"calibration": day.nominal, "mount_deg": day.mount_deg, "prior_sds": list(map(float, day.prior_sds))} for day in days
+        ],
         "trajectory_sds": trajectory_sds.tolist(), "correlation_s": [60.0, 60.0], "model": options.model,
         "knots_s": options.knots, "cell_m": options.cell, "most_pairs": options.pairs, "strips": strips,
     }
     (folder / "survey.json").write_text(json.dumps(survey, indent=1))
-    (folder / "truth.json").write_text(json.dumps({"calibration": truth, "strips": truths, "wrong_control": wrong}))
+    (folder / "truth.json").write_text(json.dumps({"calibrations": [day.truth for day in days], "strips": truths, "wrong_control": wrong}))
 
 
 def parser():
@@ -378,6 +424,12 @@ def add_options(made):
     made.add_argument("--cell", type=float, default=3)
     made.add_argument("--pairs", type=int, default=3000)
     made.add_argument("--sd-factors", type=float, nargs=2, default=[1, 1], help="errors of the stated SDs of positions and attitudes")
+    made.add_argument("--days", type=int, choices=[1, 2, 3], default=1, help="number of installations with mounts of their own")
+    made.add_argument("--walk-m", type=float, default=0, help="SD of a random walk of the position after 60 s, m")
+    made.add_argument("--imu-drift-mdeg", type=float, default=0, help="SD of the drift of roll and pitch in 60 s; three times of heading")
+    made.add_argument("--oscillation", type=float, nargs=2, default=[0, 20], metavar=("MDEG", "S"),
+                      help="amplitude and period of an oscillation of the heading")
+    made.add_argument("--jump-m", type=float, default=0, help="SD of jumps of the position from strip to strip, m")
     made.add_argument("--given-sds", action="store_true", help="use the stated SDs of trajectories as they are")
     made.add_argument("--control", type=int, default=0, help="number of control points")
     made.add_argument("--control-sd", type=float, default=0.01, help="SD of their heights, m")

@@ -16,7 +16,7 @@ use wavex_align::adjust::{AlignSettings, Constraints, align_with};
 use wavex_align::control::ControlPoint;
 use wavex_align::parameters::{GlobalPriors, TrajectoryModel};
 use wavex_align::patch::{Horizon, PatchBudget, PatchMaker, PatchReturn, PatchSettings};
-use wavex_align::result::Alignment;
+use wavex_align::result::{Alignment, ParameterResult};
 use wavex_align::scanner::{BeamSource, Scanner, ScannerBeam};
 use wavex_align::survey::{Installation, Strip, Survey};
 use wavex_geodesy::calibration::Calibration;
@@ -28,14 +28,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::args().nth(1).ok_or("usage: align_points FOLDER")?;
     let folder = Path::new(&folder);
     let given: Value = serde_json::from_slice(&std::fs::read(folder.join("survey.json"))?)?;
-    let calibration: Calibration = serde_json::from_value(given["calibration"].clone())?;
-    let mount_deg: [f64; 3] = serde_json::from_value(given["mount_deg"].clone())?;
-    let scanner =
-        Scanner { body_from_mount: rotation_of_angles(mount_deg.map(f64::to_radians)), calibration };
-    let mut priors = GlobalPriors::default();
-    if let Some(sds) = given.get("prior_sds") {
-        priors = GlobalPriors(serde_json::from_value(sds.clone())?);
-    }
+    let installations = given["installations"].as_array().ok_or("`installations` is missing")?;
+    let installations = installations.iter().map(installation).collect::<Result<Vec<_>, _>>()?;
     let mut settings = AlignSettings::default();
     if let Some(sds) = given.get("trajectory_sds") {
         settings.trajectory_priors.sd = serde_json::from_value(sds.clone())?;
@@ -51,6 +45,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     if let Some(fits) = given["fits_trajectory_sds"].as_bool() {
         settings.fits_trajectory_sds = fits;
+    }
+    if let Some(fits) = given["fits_time_errors"].as_bool() {
+        settings.fits_time_errors = fits;
     }
     let control = given["control"].as_array().map_or(&[][..], Vec::as_slice).iter().map(control_point);
     let control = control.collect::<Result<Vec<_>, _>>()?;
@@ -73,6 +70,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let trajectory = read_trajectory(&folder.join(name("trajectory")?))?;
         let horizon = *horizon.get_or_insert_with(|| Horizon::at(trajectory.samples()[0].place));
         let patch_settings = PatchSettings { cell_m: settings.cell_m, ..PatchSettings::default() };
+        let installation = usize::try_from(files["installation"].as_u64().unwrap_or_default())?;
+        let scanner = installations.get(installation).ok_or("unknown installation")?.scanner;
         let mut maker = PatchMaker::new(u32::try_from(index)?, horizon, patch_settings);
         for row in rows::<8>(&folder.join(name("points")?))? {
             if let Some(made) = located(&scanner, &trajectory, row) {
@@ -82,14 +81,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         let (made, of_strip) = maker.finish();
         counts.push(format!("{} patches; {of_strip:?}", made.len()));
         budget.add(made);
-        strips.push(Strip { trajectory: index, installation: 0 });
+        strips.push(Strip { trajectory: index, installation });
         trajectories.push(trajectory);
     }
     let (patches, kept) = budget.finish();
     let patches_s = started.elapsed().as_secs_f64();
     let survey = Survey {
         trajectories: &trajectories,
-        installations: &[Installation { scanner, priors }],
+        installations: &installations,
         strips: &strips,
         patches: &patches,
         horizon: horizon.ok_or("there are no strips")?,
@@ -103,6 +102,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     report["seconds"] = json!([patches_s, align_s]);
     println!("{report:#}");
     Ok(())
+}
+
+fn installation(given: &Value) -> Result<Installation, serde_json::Error> {
+    let calibration: Calibration = serde_json::from_value(given["calibration"].clone())?;
+    let mount_deg: [f64; 3] = serde_json::from_value(given["mount_deg"].clone())?;
+    let body_from_mount = rotation_of_angles(mount_deg.map(f64::to_radians));
+    let priors = match given.get("prior_sds") {
+        Some(sds) => GlobalPriors(serde_json::from_value(sds.clone())?),
+        None => GlobalPriors::default(),
+    };
+    Ok(Installation { scanner: Scanner { body_from_mount, calibration }, priors })
 }
 
 fn control_point(given: &Value) -> Result<ControlPoint, serde_json::Error> {
@@ -153,18 +163,15 @@ fn rows<const N: usize>(path: &Path) -> Result<Vec<[f64; N]>, Box<dyn Error>> {
 }
 
 fn report(result: &Alignment) -> Value {
-    let parameters: Vec<Value> = result
-        .parameters
-        .iter()
-        .flatten()
-        .map(|p| {
-            json!({
-                "name": p.parameter.name(), "start": p.start, "value": p.value, "sd": p.sd, "formal_sd": p.formal_sd,
-                "jackknife_sd": p.jackknife_sd, "prior_sd": p.prior_sd, "treatment": format!("{:?}", p.treatment),
-                "reasons": wavex_align::estimable::reasons(p.parameter, &result.facts),
-            })
+    let parameter = |p: &ParameterResult| {
+        json!({
+            "name": p.parameter.name(), "start": p.start, "value": p.value, "sd": p.sd, "formal_sd": p.formal_sd,
+            "jackknife_sd": p.jackknife_sd, "prior_sd": p.prior_sd, "treatment": format!("{:?}", p.treatment),
+            "reasons": wavex_align::estimable::reasons(p.parameter, &result.facts),
         })
-        .collect();
+    };
+    let parameters: Vec<Vec<Value>> =
+        result.parameters.iter().map(|own| own.iter().map(parameter).collect()).collect();
     let strips: Vec<Value> = result
         .strips
         .iter()
@@ -207,6 +214,7 @@ fn report(result: &Alignment) -> Value {
         result.trajectory_sds.map(|both| both.map(|own| json!([own.factor, own.shown, own.is_used])));
     json!({
         "control": control, "control_scale": result.control.scale, "sd_factors": sd_factors,
+        "time_errors": result.time_errors.map(|own| json!([own.factor, own.intervals, own.interval_s, own.ratios])),
         "parameters": parameters, "strips": strips, "overlaps": overlaps, "correlations": correlations,
         "scale": result.scale, "n_unknowns": result.n_unknowns, "n_pairs": result.n_pairs,
         "n_rejected": result.n_rejected, "spread_m": result.spread_m, "verdict": format!("{:?}", result.verdict),

@@ -5,7 +5,7 @@ use wavex_geodesy::trajectory::corrections::TrajectoryCorrections;
 use wavex_simd::statistics::median;
 
 use crate::control::{ControlPoint, match_control, scale as control_scale};
-use crate::estimable::{EVIDENCE, FlightFacts, Treatment, Verdict};
+use crate::estimable::{DOUBTFUL_SHARED, EVIDENCE, FlightFacts, Treatment, Verdict};
 use crate::matching::{MatchSettings, Pair, TILE_M, match_patches};
 use crate::normal::{Priors, Problem, Weighting};
 use crate::parameters::{
@@ -28,6 +28,8 @@ pub struct AlignSettings {
     pub most_pairs: usize,
     /// Whether the SDs of trajectories are corrected by what the strips show of them.
     pub fits_trajectory_sds: bool,
+    /// Whether SDs are raised for errors that pairs of the same time share.
+    pub fits_time_errors: bool,
     /// Edge of the tiles of the jackknife, m; above 0.
     pub tile_m: f64,
 }
@@ -40,6 +42,7 @@ impl Default for AlignSettings {
             cell_m: 3.0,
             most_pairs: 3000,
             fits_trajectory_sds: true,
+            fits_time_errors: true,
             tile_m: TILE_M,
         }
     }
@@ -192,6 +195,16 @@ pub fn align_with(
         }
     }
     let mut pairs = match_patches(survey, &state, &matching(fine));
+    let find_time_errors = |problem: &mut Problem<'_>, state: &State, pairs: &[Pair]| {
+        problem.shared = 1.0;
+        let found = settings.fits_time_errors.then(|| {
+            let weighting = weighting(problem, state, pairs, fine.reject);
+            problem.time_errors(state, pairs, &weighting, settings.trajectory_model)
+        });
+        problem.shared = found.map_or(1.0, |found| found.factor);
+        found
+    };
+    find_time_errors(&mut problem, &state, &pairs);
     let trajectory_sds = match settings.fits_trajectory_sds {
         false => None,
         true => {
@@ -208,6 +221,7 @@ pub fn align_with(
             Some(found)
         }
     };
+    let time_errors = find_time_errors(&mut problem, &state, &pairs);
     let mut treatments = vec![[Treatment::Estimated; GLOBALS]; survey.installations.len()];
     let mut held: Vec<usize> = Vec::new();
     let (solution, weighting) = loop {
@@ -239,10 +253,17 @@ pub fn align_with(
     };
     let control = problem.control_result(&state, &weighting, settings.cell_m);
     let result = report(&problem, state, &pairs, &solution, &weighting, &treatments, &before);
-    let verdict = if control.contradicts() { result.verdict.max(Verdict::Doubtful) } else { result.verdict };
+    let is_shared = time_errors.is_some_and(|own| own.factor > DOUBTFUL_SHARED);
+    let verdict = if control.contradicts() || is_shared {
+        result.verdict.max(Verdict::Doubtful)
+    } else {
+        result.verdict
+    };
     let control_points = control.differences.iter().filter(|own| own.iter().any(|one| one.is_used)).count();
-    let facts = FlightFacts { control_points, ..result.facts };
-    Ok(Alignment { control, verdict, trajectory_sds, facts, ..result })
+    let with_control = |facts: FlightFacts| FlightFacts { control_points, ..facts };
+    let facts = with_control(result.facts);
+    let installation_facts = result.installation_facts.iter().copied().map(with_control).collect();
+    Ok(Alignment { control, verdict, trajectory_sds, facts, installation_facts, time_errors, ..result })
 }
 
 fn check(survey: &Survey<'_>, settings: &AlignSettings) -> Result<(), AlignError> {
@@ -346,6 +367,8 @@ fn problem<'a>(survey: &'a Survey<'a>, settings: &AlignSettings) -> Problem<'a> 
         start,
         points: &[],
         control: Vec::new(),
+        spans_s,
+        shared: 1.0,
     }
 }
 
@@ -360,6 +383,7 @@ fn weighting(problem: &Problem<'_>, state: &State, pairs: &[Pair], reject: f64) 
         huber: HUBER,
         reject,
         control_scale: control_scale(&problem.control, &of_control),
+        shared: problem.shared,
     }
 }
 

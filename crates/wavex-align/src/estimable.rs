@@ -109,6 +109,9 @@ pub fn reasons(parameter: Global, facts: &FlightFacts) -> Vec<(&'static str, &'s
 
 /// Residuals above this many times their SDs are more than noise.
 pub const DOUBTFUL_SCALE: f64 = 2.0;
+/// Variances of residuals over intervals of time above this many times those of independent ones: the trajectories change
+/// faster than their corrections.
+pub const DOUBTFUL_SHARED: f64 = 3.0;
 /// Residuals above this many times their SDs: the strips do not meet.
 pub const BAD_SCALE: f64 = 10.0;
 /// Part of the pairs that may be rejected.

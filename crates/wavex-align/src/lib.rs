@@ -19,5 +19,6 @@ mod simulated;
 mod solution;
 pub mod sparse;
 pub mod survey;
+pub mod time_errors;
 pub mod variance;
 mod vector;

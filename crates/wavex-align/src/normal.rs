@@ -62,6 +62,8 @@ pub(crate) struct Weighting {
     pub(crate) reject: f64,
     /// Scale of the control points.
     pub(crate) control_scale: f64,
+    /// Factor of the variances for errors that pairs of the same time share.
+    pub(crate) shared: f64,
 }
 
 impl Weighting {
@@ -73,7 +75,7 @@ impl Weighting {
             return 0.0;
         }
         let huber = if size > self.huber { self.huber / size } else { 1.0 };
-        huber * pair.share / (sd_m * sd_m)
+        huber * pair.share / (sd_m * sd_m * self.shared)
     }
 }
 
@@ -102,6 +104,10 @@ pub(crate) struct Problem<'a> {
     pub(crate) points: &'a [ControlPoint],
     /// Patches at the control points; none before the strips are near each other.
     pub(crate) control: Vec<ControlPair>,
+    /// First and last time of the patches of each strip, s; the first is the larger one without patches.
+    pub(crate) spans_s: Vec<[f64; 2]>,
+    /// Factor of the variances for errors that pairs of the same time share.
+    pub(crate) shared: f64,
 }
 
 impl Problem<'_> {

@@ -13,6 +13,7 @@ use crate::parameters::{GLOBALS, Global, OFFSETS};
 use crate::patch::Patch;
 use crate::solution::Solution;
 use crate::survey::{State, Survey};
+use crate::time_errors::TimeErrors;
 use crate::variance::VarianceComponent;
 use crate::vector::{difference, dot, length};
 
@@ -118,12 +119,64 @@ pub struct Alignment {
     pub spread_m: [f64; 2],
     /// What the pairs show of the flight.
     pub facts: FlightFacts,
+    /// What the pairs of the strips of each installation show.
+    pub installation_facts: Vec<FlightFacts>,
     /// Rating.
     pub verdict: Verdict,
     /// Control points.
     pub control: ControlResult,
     /// Factors of the SDs of positions and attitudes of the trajectories; `None` if they were not estimated.
     pub trajectory_sds: Option<[VarianceComponent; 2]>,
+    /// Errors that pairs of the same time share; `None` if they were not looked for.
+    pub time_errors: Option<TimeErrors>,
+}
+
+/// Corrections above this many given SDs of a trajectory are not errors of the trajectory.
+const MISPLACED_SDS: f64 = 10.0;
+/// Strips whose corrections reach this part of the largest are named with it.
+const MISPLACED_PART: f64 = 0.7;
+
+/// A strip with a correction that its trajectory does not explain.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MisplacedStrip {
+    /// Index of the strip.
+    pub strip: usize,
+    /// Offset: 0 to 2 north, east, down, 3 to 5 roll, pitch, heading.
+    pub offset: usize,
+    /// Mean of this offset over the knots, m or rad.
+    pub mean: f64,
+    /// The same over the SD of the trajectory before any factor.
+    pub sds: f64,
+}
+
+impl Alignment {
+    /// Strips that were probably flown with another installation, largest corrections first: far beyond the given SDs of
+    /// their trajectories, and about the largest of all.
+    ///
+    /// Least squares spread a wrong boresight over the strips of the installation, most of it to the wrong strip.
+    pub fn misplaced_strips(&self) -> Vec<MisplacedStrip> {
+        let factors = self.trajectory_sds.map_or([1.0; 2], |both| both.map(|own| own.applied()));
+        let of_strip = |(strip, own): (usize, &StripResult)| {
+            let knots = own.corrections.as_ref()?.knots();
+            let offsets = (0..OFFSETS).filter(|offset| own.prior_sds[*offset] > 0.0).map(|offset| {
+                let values = knots.iter().map(|knot| match offset {
+                    0..3 => knot.offset.north_east_down_m[offset],
+                    _ => knot.offset.roll_pitch_heading_rad[offset - 3],
+                });
+                let mean = values.sum::<f64>() / knots.len() as f64;
+                let given = own.prior_sds[offset] / factors[offset / 3];
+                MisplacedStrip { strip, offset, mean, sds: mean.abs() / given }
+            });
+            offsets.max_by(|a, b| a.sds.total_cmp(&b.sds))
+        };
+        let with_pairs = self.strips.iter().enumerate().filter(|(_, own)| own.n_pairs > 0);
+        let all: Vec<MisplacedStrip> = with_pairs.filter_map(of_strip).collect();
+        let most = all.iter().map(|own| own.sds).fold(0.0, f64::max);
+        let least = MISPLACED_SDS.max(MISPLACED_PART * most);
+        let mut named: Vec<_> = all.into_iter().filter(|own| own.sds > least).collect();
+        named.sort_by(|a, b| b.sds.total_cmp(&a.sds));
+        named
+    }
 }
 
 /// Differences of two strips: their indices, values, m, and number of rejected pairs.
@@ -246,6 +299,11 @@ pub(crate) fn report(
             }
         })
         .collect();
+    let all_facts = facts(survey, &state, pairs, |_| true);
+    let installation_facts = match layout.installations {
+        1 => vec![all_facts],
+        all => (0..all).map(|own| facts(survey, &state, pairs, |other| other == own)).collect(),
+    };
     let mut result = Alignment {
         correlations: correlations(problem, solution),
         covariance: covariance(problem, solution),
@@ -257,7 +315,8 @@ pub(crate) fn report(
         n_pairs,
         n_rejected,
         spread_m,
-        facts: facts(survey, &state, pairs),
+        facts: all_facts,
+        installation_facts,
         verdict: verdict(
             weighting.scale,
             n_rejected as f64 / n_pairs.max(1) as f64,
@@ -268,6 +327,7 @@ pub(crate) fn report(
         state,
         control: ControlResult::default(),
         trajectory_sds: None,
+        time_errors: None,
     };
     let lost: Vec<u32> = survey
         .patches
@@ -320,12 +380,17 @@ fn covariance(problem: &Problem<'_>, solution: &Solution) -> Vec<Vec<f64>> {
     (0..n).map(|i| (0..n).map(|j| of(i, j)).collect()).collect()
 }
 
-fn facts(survey: &Survey<'_>, state: &State, pairs: &[Pair]) -> FlightFacts {
+/// Facts of the pairs with a strip of these installations.
+fn facts(survey: &Survey<'_>, state: &State, pairs: &[Pair], is_own: impl Fn(usize) -> bool) -> FlightFacts {
     let mut poses = survey.poses();
     let mut facts = FlightFacts { ranges_m: [f64::INFINITY, 0.0], ..FlightFacts::default() };
-    let mut sloped = 0;
+    let (mut sloped, mut n_pairs) = (0, 0_usize);
     for pair in pairs {
         let [a, b] = pair.patches.map(|patch| &survey.patches[patch as usize]);
+        if ![a, b].iter().any(|patch| is_own(survey.strips[patch.strip as usize].installation)) {
+            continue;
+        }
+        n_pairs += 1;
         for patch in [a, b] {
             let range_m = patch.beams[0].range_m;
             facts.ranges_m = [facts.ranges_m[0].min(range_m), facts.ranges_m[1].max(range_m)];
@@ -351,6 +416,6 @@ fn facts(survey: &Survey<'_>, state: &State, pairs: &[Pair]) -> FlightFacts {
             facts.crossing_rad = facts.crossing_rad.max(cosine.abs().acos());
         }
     }
-    facts.sloped = sloped as f64 / pairs.len().max(1) as f64;
+    facts.sloped = sloped as f64 / n_pairs.max(1) as f64;
     facts
 }

@@ -60,6 +60,8 @@ pub(crate) struct Plan {
     /// Error of the recorded height of each strip, m.
     pub(crate) heights_m: Vec<f64>,
     pub(crate) seed: u64,
+    /// Scanners of further installations, true and at the start, with the first strip of each.
+    pub(crate) others: Vec<(usize, Scanner, Scanner)>,
 }
 
 pub(crate) fn hills(x: f64, y: f64) -> f64 {
@@ -92,6 +94,7 @@ impl Plan {
             noise_m: 0.003,
             bias_m: flat,
             seed: 1,
+            others: Vec::new(),
         }
     }
 
@@ -131,12 +134,18 @@ impl Plan {
         let horizon = Horizon::at(PLACE);
         let mut flight = Flight {
             trajectories: Vec::new(),
-            installations: vec![Installation { scanner: self.start, priors: GlobalPriors::default() }],
+            installations: [self.start]
+                .into_iter()
+                .chain(self.others.iter().map(|(_, _, start)| *start))
+                .map(|scanner| Installation { scanner, priors: GlobalPriors::default() })
+                .collect(),
             strips: Vec::new(),
             patches: Vec::new(),
             horizon,
         };
         for (strip, &(right_m, course)) in self.lines.iter().enumerate() {
+            let installation = self.others.iter().filter(|(first, ..)| *first <= strip).count();
+            let of_strip = installation.checked_sub(1).map_or(self.truth, |other| self.others[other].1);
             let start_s = start_s(strip);
             let duration_s = self.length_m / SPEED_MPS;
             let truth = self.trajectory(strip, (right_m, course), 0.0);
@@ -155,7 +164,7 @@ impl Plan {
                         beam.direction = [0.0, angle.sin(), angle.cos()];
                         beam.range_m = HEIGHT_M;
                         let mut at = |beam: &ScannerBeam| {
-                            horizon.local_m(self.truth.locate(&source, beam, &mut poses, None).unwrap())
+                            horizon.local_m(of_strip.locate(&source, beam, &mut poses, None).unwrap())
                         };
                         for _ in 0..6 {
                             let [x, y, z] = at(beam);
@@ -177,7 +186,7 @@ impl Plan {
                 }
             }
             flight.trajectories.push(recorded);
-            flight.strips.push(Strip { trajectory: strip, installation: 0 });
+            flight.strips.push(Strip { trajectory: strip, installation });
         }
         flight
     }

@@ -6,17 +6,18 @@ use std::path::{Path, PathBuf};
 use rayon::ThreadPoolBuilder;
 
 use crate::Failure;
-use crate::run::folders;
+use jobs::JobPlace;
 use strips::{SurveyStrips, collect};
 use wavex_align::adjust::{AlignSettings, Constraints, align_with as adjust};
 use wavex_align::estimable::Verdict;
 use wavex_align::matching::tile_m;
 use wavex_align::observation::Observation;
 use wavex_align::parameters::{Global, GlobalPriors};
+use wavex_align::patch::Patch;
 use wavex_align::result::Alignment;
+use wavex_align::scanner::Scanner;
 use wavex_align::survey::{Installation, Strip, Survey};
-use wavex_engine::engine::{self, Cancel, Options, ProgressMode};
-use wavex_engine::job::Job;
+use wavex_engine::engine::{self, Cancel, ProgressMode};
 use wavex_formats::Error;
 use wavex_geodesy::crs::Unit;
 use wavex_line::georef::corrections::{CorrectionsFile, StripCorrections};
@@ -24,10 +25,13 @@ use wavex_line::georef::keys::{CalibrationKey, UnitKey};
 use wavex_line::stage::{FinishedFile, OutputFile};
 use wavex_pages::report::align::{AlignReport, page, write_residuals};
 
+pub use jobs::AlignJob;
 pub use wavex_align::parameters::TrajectoryModel;
 
 pub mod clouds;
 mod control;
+mod installations;
+mod jobs;
 mod patch_files;
 mod report;
 mod strips;
@@ -50,10 +54,8 @@ const RECEIVER_OFFSET_SD_M: f64 = 0.05;
 /// Survey to align.
 #[derive(Clone, Debug)]
 pub struct AlignRequest<'a> {
-    /// The job; its sinks are not run.
-    pub job: &'a Job,
-    /// Folder of the job file.
-    pub folder: &'a Path,
+    /// The jobs, one for each installation of a scanner.
+    pub jobs: &'a [AlignJob<'a>],
     /// Folder to write.
     pub output: &'a Path,
     /// Form of the corrections of trajectories.
@@ -136,8 +138,8 @@ pub struct Aligned {
     pub warnings: Vec<String>,
     /// Written files.
     pub written: Vec<PathBuf>,
-    /// Keys of the job that use them, as `KEY=VALUE`.
-    pub settings: Vec<String>,
+    /// Keys of each job that use them, as `KEY=VALUE`.
+    pub settings: Vec<Vec<String>>,
     /// Why the alignment is bad; `None` if it is usable.
     pub failure: Option<Failure>,
     /// The report, as written.
@@ -150,64 +152,73 @@ pub struct Aligned {
 ///
 /// Writes [`CALIBRATION_FILE`], [`REPORT_FILE`], [`PAGE_FILE`], [`RESIDUALS_FILE`] and, unless trajectories are kept,
 /// [`CORRECTIONS_FILE`]; of a bad alignment neither calibration nor corrections. Inputs that cannot be read are left out.
+/// Of several jobs, calibration and corrections are in a folder with the name of the job, and strips are named `JOB/STRIP`.
 ///
 /// # Errors
-/// A job without trajectory or points, fewer than two strips, strips that do not overlap, files that cannot be written.
+/// A job without trajectory or points, jobs that do not fit together, fewer than two strips, strips that do not overlap,
+/// files that cannot be written.
 pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
-    let job = request.job;
-    let (input_dir, output_dir) = folders(job, request.folder);
-    check(request, &input_dir)?;
-    let options = Options {
-        progress: request.progress,
-        cancel: request.cancel.clone(),
-        ..Options::of_job(job, &input_dir, output_dir)
-    };
+    let (places, control) = prepare(request)?;
+    let Some(first) = places.first() else { return Err(Failure::Wrong("there is no job to align".into())) };
     let settings = AlignSettings { trajectory_model: request.trajectory, ..AlignSettings::default() };
-    let control = control::read(&request.constraints, &job.settings.geometry, &input_dir)?;
-    check_references(request, &options)?;
-    let survey = collect(job, &options, &settings, request.patches)?;
+    let survey = collect(&places, &settings, request.patches)?;
     let settings = AlignSettings { tile_m: tile_m(survey.largest_m2(settings.cell_m)), ..settings };
-    let references = references(request, &survey)?;
+    let references = references(&places, request, &survey)?;
     let points = control.as_ref().map_or(&[][..], |control| &control.points);
     let constraints = Constraints { control: points, references: &references };
     let result =
-        adjusted(&survey, &settings, &constraints, &request.constraints.estimate, options.workers())?;
+        adjusted(&survey, &settings, &constraints, &request.constraints.estimate, first.options.workers())?;
+    let result = match installations::misplaced(&survey, &result) {
+        Some(_) => Alignment { verdict: result.verdict.max(Verdict::Doubtful), ..result },
+        None => result,
+    };
     let warnings = survey.failures.iter().map(|failed| format!("left out: {}", failed.problem));
     let warnings: Vec<String> = warnings.chain(unconnected(&survey, &result)).collect();
-    let replaced = job.settings.geometry.corrections.as_ref().map(|file| {
+    let warnings = warnings.into_iter().chain(installations::unconnected_jobs(&places, &survey, &result));
+    let replaced = places.iter().filter_map(|place| place.job.settings.geometry.corrections.as_ref());
+    let replaced = replaced.map(|file| {
         format!("{file}: the corrections of the job are not applied; those of this alignment replace them")
     });
     let of_control = control.iter().flat_map(|control| control.warnings(&result));
-    let mut warnings: Vec<String> = warnings.into_iter().chain(replaced).chain(of_control).collect();
-    let report = report::report(request, &input_dir, &survey, &result, &warnings, control.as_ref());
-    let written = write(request, &survey, &result, &report)?;
-    let mut text = words::summary(&survey, &result, control.as_ref());
-    let problem = words::problem(&result);
-    let settings = words::settings(request, &input_dir, &written);
+    let mut warnings: Vec<String> = warnings.chain(replaced).chain(of_control).collect();
+    let report = report::report(request, &places, &survey, &result, &warnings, control.as_ref());
+    let written = write(request, &places, &survey, &result, &report)?;
+    let mut text = words::summary(&places, &survey, &result, control.as_ref());
+    let problem = words::problem(&places, &survey, &result);
+    let settings: Vec<Vec<String>> = places.iter().map(|place| words::settings(place, &written)).collect();
     let failure = if result.verdict == Verdict::Bad {
         problem.map(Failure::Run)
     } else {
         warnings.extend(problem);
-        text += &words::next_command(request, &settings);
+        text += &words::next_commands(&places, &settings);
         None
     };
     Ok(Aligned { text, warnings, written, settings, failure, report, observations: result.observations })
 }
 
-/// Checks a request before the strips are read: job, control points, and reference strips.
+/// Checks a request before the strips are read: jobs, control points, and reference strips.
 ///
 /// # Errors
-/// Those of [`align`] that job and options alone show.
+/// Those of [`align`] that jobs and options alone show.
 pub fn check_early(request: &AlignRequest<'_>) -> Result<(), Failure> {
-    let (input_dir, output_dir) = folders(request.job, request.folder);
-    check(request, &input_dir)?;
-    control::read(&request.constraints, &request.job.settings.geometry, &input_dir)?;
-    check_references(request, &Options::of_job(request.job, &input_dir, output_dir))
+    prepare(request).map(drop)
 }
 
-/// Checks what the job alone shows.
-fn check(request: &AlignRequest<'_>, input_dir: &Path) -> Result<(), Failure> {
-    let AlignRequest { job, output, .. } = request;
+/// Places of the jobs and control points, checked before strips are read.
+fn prepare<'a>(request: &AlignRequest<'a>) -> Result<(Vec<JobPlace<'a>>, Option<Control>), Failure> {
+    let places = jobs::places(request)?;
+    let Some(first) = places.first() else { return Err(Failure::Wrong("there is no job to align".into())) };
+    places.iter().try_for_each(|place| check(request, place))?;
+    let control = control::read(&request.constraints, &first.job.settings.geometry, first.input_dir())?;
+    check_references(request, &places)?;
+    jobs::check_inputs(&places)?;
+    Ok((places, control))
+}
+
+/// Checks what a job alone shows.
+fn check(request: &AlignRequest<'_>, place: &JobPlace<'_>) -> Result<(), Failure> {
+    let JobPlace { job, output, .. } = place;
+    let input_dir = place.input_dir();
     let keys = &job.settings.geometry;
     let wrong = |problem: &str| Err(Failure::Wrong(format!("{}: {problem}", job.name)));
     if !job.stages.iter().any(|stage| stage.spec.name == "georeference") {
@@ -241,49 +252,61 @@ fn check(request: &AlignRequest<'_>, input_dir: &Path) -> Result<(), Failure> {
 }
 
 /// Checks that reference strips are inputs, before they are read.
-fn check_references(request: &AlignRequest<'_>, options: &Options) -> Result<(), Failure> {
+fn check_references(request: &AlignRequest<'_>, places: &[JobPlace<'_>]) -> Result<(), Failure> {
     let references = &request.constraints.references;
     if references.is_empty() {
         return Ok(());
     }
     if request.trajectory == TrajectoryModel::None {
         let problem = "`--reference` has no effect with `--trajectory none`, which corrects no trajectory; leave one out";
-        return Err(Failure::Wrong(format!("{}: {problem}", request.job.name)));
+        return Err(Failure::Wrong(format!("{}: {problem}", job_names(places))));
     }
     // Recordings need not be there if their patches are given.
     if !request.patches.is_empty() {
         return Ok(());
     }
-    let inputs = engine::inputs(request.job, &options.input_dir);
-    let inputs = inputs.map_err(|error| Failure::Run(error.to_string()))?;
-    let names: Vec<String> = inputs.into_iter().map(|input| input.stem).collect();
+    let mut names: Vec<String> = Vec::new();
+    for place in places {
+        let inputs = engine::inputs(place.job, place.input_dir());
+        let inputs = inputs.map_err(|error| Failure::Run(error.to_string()))?;
+        names.extend(inputs.into_iter().map(|input| place.label(&input.stem)));
+    }
     match references.iter().find(|name| !names.contains(name)) {
         Some(unknown) => {
-            Err(Failure::Wrong(unknown_reference(request, unknown, names.iter().map(String::as_str))))
+            Err(Failure::Wrong(unknown_reference(places, unknown, names.iter().map(String::as_str))))
         }
         None => Ok(()),
     }
 }
 
+/// Names of the jobs, for messages.
+fn job_names(places: &[JobPlace<'_>]) -> String {
+    places.iter().map(|place| place.job.name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
 fn unknown_reference<'a>(
-    request: &AlignRequest<'_>,
+    places: &[JobPlace<'_>],
     unknown: &str,
     names: impl Iterator<Item = &'a str>,
 ) -> String {
     let names: Vec<&str> = names.collect();
-    let job = &request.job.name;
-    format!("{job}: there is no strip `{unknown}` for `--reference`; the strips are {}", names.join(", "))
+    let jobs = job_names(places);
+    format!("{jobs}: there is no strip `{unknown}` for `--reference`; the strips are {}", names.join(", "))
 }
 
 /// Indices of the reference strips.
-fn references(request: &AlignRequest<'_>, survey: &SurveyStrips) -> Result<Vec<usize>, Failure> {
+fn references(
+    places: &[JobPlace<'_>],
+    request: &AlignRequest<'_>,
+    survey: &SurveyStrips,
+) -> Result<Vec<usize>, Failure> {
     let index = |name: &String| {
         let found = survey.strips.iter().position(|strip| strip.name == *name);
         let failed = survey.failures.iter().find(|failed| failed.name == *name);
         found.ok_or_else(|| match failed {
             Some(failed) => Failure::Run(format!("the reference strip cannot be used: {}", failed.problem)),
             None => Failure::Wrong(unknown_reference(
-                request,
+                places,
                 name,
                 survey.strips.iter().map(|strip| &*strip.name),
             )),
@@ -313,20 +336,29 @@ fn adjusted(
     let Some(horizon) = survey.horizon else {
         return Err(failed("no strip has a pose: check the trajectory".into()));
     };
-    let mut priors = GlobalPriors::default();
-    let is_low = |low: bool| survey.patches.iter().any(|patch| patch.source.on_low_power_scale == low);
-    if is_low(true) && is_low(false) {
-        priors.0[Global::E7 as usize] = RECEIVER_OFFSET_SD_M;
-    }
-    for (parameter, sd) in estimate.iter().map(|parameter| parameter.prior()) {
-        priors.0[parameter as usize] = sd;
-    }
-    let scanner = survey.scanner;
-    let strips: Vec<Strip> =
-        survey.strips.iter().map(|strip| Strip { trajectory: strip.trajectory, installation: 0 }).collect();
+    let installation = |(index, scanner): (usize, &Scanner)| {
+        let mut priors = GlobalPriors::default();
+        let own = || {
+            let is_own = |patch: &&Patch| survey.strips[patch.strip as usize].installation == index;
+            survey.patches.iter().filter(is_own)
+        };
+        let is_low = |low: bool| own().any(|patch| patch.source.on_low_power_scale == low);
+        if is_low(true) && is_low(false) {
+            priors.0[Global::E7 as usize] = RECEIVER_OFFSET_SD_M;
+        }
+        for (parameter, sd) in estimate.iter().map(|parameter| parameter.prior()) {
+            priors.0[parameter as usize] = sd;
+        }
+        Installation { scanner: *scanner, priors }
+    };
+    let installations: Vec<Installation> = survey.scanners.iter().enumerate().map(installation).collect();
+    let strips = survey.strips.iter();
+    let strips: Vec<Strip> = strips
+        .map(|strip| Strip { trajectory: strip.trajectory, installation: strip.installation })
+        .collect();
     let given = Survey {
         trajectories: &survey.trajectories,
-        installations: &[Installation { scanner, priors }],
+        installations: &installations,
         strips: &strips,
         patches: &survey.patches,
         horizon,
@@ -352,19 +384,29 @@ fn unconnected<'a>(survey: &'a SurveyStrips, result: &'a Alignment) -> impl Iter
 /// Writes the files; returns their paths.
 fn write(
     request: &AlignRequest<'_>,
+    places: &[JobPlace<'_>],
     survey: &SurveyStrips,
     result: &Alignment,
     report: &AlignReport,
 ) -> Result<Vec<PathBuf>, Failure> {
     let path = |name: &str| request.output.join(name);
-    let (calibration, corrections) = (path(CALIBRATION_FILE), path(CORRECTIONS_FILE));
-    let Some(scanner) = result.state.scanners.first() else { return Ok(Vec::new()) };
     let mut finished = Vec::new();
+    // Files of an earlier alignment would look like those of this one.
+    let mut stale = Vec::new();
     let is_bad = result.verdict == Verdict::Bad;
-    if !is_bad {
+    if places.len() > 1 {
+        stale.extend([path(CALIBRATION_FILE), path(CORRECTIONS_FILE)]);
+    }
+    for (index, (place, scanner)) in places.iter().zip(&result.state.scanners).enumerate() {
+        let [calibration, corrections] =
+            [CALIBRATION_FILE, CORRECTIONS_FILE].map(|name| place.output.join(name));
+        if is_bad || places.len() > 1 && !installations::is_aligned(survey, result, index) {
+            stale.extend([calibration, corrections]);
+            continue;
+        }
         let text = words::calibration_text(&scanner.calibration);
         finished.push(self::finished(&calibration, &text)?.replacing([corrections.clone()]));
-        if let Some(text) = corrections_text(survey, result)? {
+        if let Some(text) = corrections_text(survey, result, index)? {
             finished.push(self::finished(&corrections, &text)?);
         }
     }
@@ -374,8 +416,6 @@ fn write(
     finished.push(residuals.map_err(|error| Failure::Run(error.to_string()))?);
     finished.push(self::finished(&path(PAGE_FILE), &page(report, &result.observations))?);
     let report = serde_json::to_string_pretty(report).map_err(|error| Failure::Run(error.to_string()))?;
-    // Files of an earlier alignment would look like those of this one.
-    let stale = if is_bad { vec![calibration, corrections] } else { Vec::new() };
     finished.push(self::finished(&path(REPORT_FILE), &(report + "\n"))?.replacing(stale));
     let published = finished.into_iter().map(FinishedFile::publish);
     published.collect::<Result<_, _>>().map_err(|error| Failure::Run(error.to_string()))
@@ -388,16 +428,24 @@ pub(crate) fn finished(path: &Path, text: &str) -> Result<FinishedFile, Failure>
     file.finish().map_err(failed)
 }
 
-/// Text of the corrections of trajectories; `None` without corrections.
-fn corrections_text(survey: &SurveyStrips, result: &Alignment) -> Result<Option<String>, Failure> {
+/// Text of the corrections of an installation's trajectories; `None` without corrections.
+fn corrections_text(
+    survey: &SurveyStrips,
+    result: &Alignment,
+    installation: usize,
+) -> Result<Option<String>, Failure> {
     let mut strips = Vec::new();
+    let own = || survey.strips.iter().filter(|strip| strip.installation == installation);
     for (strip, found) in survey.strips.iter().zip(&result.strips) {
+        if strip.installation != installation {
+            continue;
+        }
         if let Some(corrections) = found.corrections.as_ref().filter(|_| found.n_pairs > 0) {
-            strips.push(StripCorrections::new(&strip.name, strip.span_s, corrections));
+            strips.push(StripCorrections::new(&strip.stem, strip.span_s, corrections));
         }
     }
-    let Some(first) = survey.strips.first().filter(|_| !strips.is_empty()) else { return Ok(None) };
-    if let Some(other) = survey.strips.iter().find(|strip| strip.clock != first.clock) {
+    let Some(first) = own().next().filter(|_| !strips.is_empty()) else { return Ok(None) };
+    if let Some(other) = own().find(|strip| strip.clock != first.clock) {
         return Err(Failure::Run(format!(
             "the trajectories of {} and {} have different time scales, and a correction file has one; convert one of them, or \
              align with `--trajectory none`",

@@ -43,7 +43,13 @@ fn rows_are_differences_of_residuals() {
         .map(|patch| survey.locate(&survey.patches[patch as usize], &state, &mut poses).unwrap().normal());
     let mean: [f64; 3] = core::array::from_fn(|axis| normals[0][axis] + normals[1][axis]);
     pair.direction = mean.map(|part| (part / length(mean)) as f32);
-    let weighting = Weighting { scale: 1.0, huber: f64::INFINITY, reject: f64::INFINITY, control_scale: 1.0 };
+    let weighting = Weighting {
+        scale: 1.0,
+        huber: f64::INFINITY,
+        reject: f64::INFINITY,
+        control_scale: 1.0,
+        shared: 1.0,
+    };
     let weight = weighting.weight(&pair, 0.0);
     let normal = problem.normal(&state, &[pair], &weighting, true);
     let residual = problem.residuals(&state, &[pair])[0].unwrap();
@@ -390,4 +396,68 @@ fn what_is_asked_is_estimated() {
     let found = of(&aligned(&flight), Global::E2);
     assert_eq!(found.treatment, Treatment::Estimated);
     assert!((found.value - 3e-4).abs() < 4.0 * found.sd && found.sd < 2e-4, "{found:?}");
+}
+
+/// A flight of two installations with mounts of their own: strips 0 and 1, and strips 2 and 3.
+fn two_installations() -> Plan {
+    let mut plan = Plan::cross();
+    plan.truth.calibration.boresight_deg = [0.05, -0.03, 0.06];
+    plan.truth.calibration.lever_arm_m = [0.02, -0.01, 0.0];
+    let half_turn = wavex_geodesy::frames::rotation_of_angles([0.0, 0.0, core::f64::consts::PI]);
+    let start = crate::scanner::Scanner { body_from_mount: half_turn, ..plan.start };
+    let mut truth = start;
+    truth.calibration.boresight_deg = [-0.08, 0.04, 0.02];
+    truth.calibration.e0 = 0.02;
+    truth.calibration.time_offset_s = 0.001;
+    plan.others = vec![(2, truth, start)];
+    plan
+}
+
+/// Each installation gets its own calibration, and facts of its own pairs.
+#[test]
+fn installations_have_parameters_of_their_own() {
+    let plan = two_installations();
+    let flight = plan.fly();
+    let result = aligned(&flight);
+    let state = format!("{} {:?} {:?}", result.scale, result.spread_m, result.time_errors);
+    assert_eq!((result.verdict, result.parameters.len()), (Verdict::Good, 2), "{state}");
+    for (own, truth) in result.parameters.iter().zip([plan.truth, plan.others[0].1]) {
+        for found in own.iter().filter(|found| found.treatment == Treatment::Estimated) {
+            let error = found.value - found.parameter.of(&truth);
+            assert!(error.abs() < 4.0 * found.sd, "{error} {found:?}");
+        }
+        for angle in [Global::Roll, Global::Pitch, Global::Yaw] {
+            let found = own[angle as usize];
+            assert!(found.treatment == Treatment::Estimated && found.sd < 10.0 * MILLIDEGREE, "{found:?}");
+        }
+    }
+    let between = result.covariance[Global::Roll as usize][GLOBALS + Global::Roll as usize];
+    assert!(between != 0.0, "installations that overlap have correlated errors");
+    // Strips 0 and 1 alone are parallel, but each overlaps the cross strip of the other installation.
+    assert!(result.installation_facts.iter().all(|facts| facts.crossing_rad > 1.5));
+}
+
+/// One calibration for two installations leaves differences, or corrections that no trajectory needs.
+#[test]
+fn one_calibration_does_not_fit_two_installations() {
+    let mut flight = two_installations().fly();
+    for strip in &mut flight.strips {
+        strip.installation = 0;
+    }
+    let result = aligned(&flight);
+    assert_ne!(result.verdict, Verdict::Good, "{}", result.scale);
+}
+
+/// A strip of another installation gets corrections far beyond the SDs of its trajectory.
+#[test]
+fn a_strip_of_another_installation_stands_out() {
+    let mut plan = two_installations();
+    let mut turned = plan.start;
+    turned.calibration.boresight_deg = [-0.3, 0.2, 0.1];
+    plan.others = vec![(2, turned, plan.start)];
+    let mut flight = plan.fly();
+    assert!(aligned(&flight).misplaced_strips().is_empty());
+    flight.strips[1].installation = 1;
+    let found = aligned(&flight).misplaced_strips();
+    assert!(found[0].strip == 1 && found.iter().all(|own| own.strip != 0), "{found:?}");
 }

@@ -42,7 +42,10 @@ pub struct AlignReport {
     pub remedy: Option<String>,
     /// Strips that were left out or not aligned, and other notes.
     pub warnings: Vec<String>,
-    /// Parameters of the installation.
+    /// Installations of the jobs; none for a single job.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub installations: Vec<AlignedInstallation>,
+    /// Parameters of each installation.
     pub parameters: Vec<AlignedParameter>,
     /// Covariance of the parameters that are not given.
     pub covariance: Covariance,
@@ -78,6 +81,31 @@ pub struct AlignReport {
     pub reference_strips: Vec<String>,
     /// Factors of the SDs of the trajectories.
     pub trajectory_sds: Option<TrajectorySds>,
+    /// Errors that corrections of the trajectories cannot follow; absent if there are none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shared_errors: Option<SharedErrors>,
+}
+
+/// Errors that pairs of the same time share, because trajectories change faster than their corrections.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct SharedErrors {
+    /// Factor by which the SDs of all pairs were raised.
+    pub sd_factor: f64,
+    /// Length of the intervals in which they were found, s.
+    pub interval_s: f64,
+    /// Variances of sums of residuals over those of independent ones: north, east, down, roll, pitch, heading.
+    pub variance_ratios: [f64; 6],
+}
+
+/// A job of an alignment with several.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+pub struct AlignedInstallation {
+    /// Name, that of the folder of its calibration and corrections.
+    pub name: String,
+    /// Name of the job.
+    pub job: String,
+    /// Calibration file of the start values, if the job names one.
+    pub calibration: Option<FileDigest>,
 }
 
 /// Rating of an alignment.
@@ -154,6 +182,9 @@ pub enum ParameterTreatment {
 pub struct AlignedParameter {
     /// Name with unit.
     pub name: String,
+    /// Installation; absent for a single job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub installation: Option<String>,
     /// Start value.
     pub start: f64,
     /// Value after alignment.
@@ -209,8 +240,11 @@ pub struct ParameterCorrelation {
 /// A strip with its corrections.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct AlignedStrip {
-    /// Stem of the recording.
+    /// Stem of the recording, after installation and `/` if there are several jobs.
     pub name: String,
+    /// Installation; absent for a single job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub installation: Option<String>,
     /// Path of the recording.
     pub recording: String,
     /// Size of the recording, bytes; `null` if it could not be read again.

@@ -90,7 +90,12 @@ pub fn align_clouds(request: &CloudsRequest<'_>) -> Result<AlignedClouds, Failur
     }
     let files = files::list(request.inputs)?;
     check_outputs(request, &files)?;
-    let settings = AlignSettings { trajectory_model: request.corrections, ..AlignSettings::default() };
+    let settings = AlignSettings {
+        trajectory_model: request.corrections,
+        // Positions alone do not follow a tilt, which is no matter of time.
+        fits_time_errors: false,
+        ..AlignSettings::default()
+    };
     let pool = ThreadPoolBuilder::new().num_threads(request.threads).build();
     let pool =
         pool.map_err(|error| failed(format!("cannot start threads: {error}; set fewer `--threads`")))?;

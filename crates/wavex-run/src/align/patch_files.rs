@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::jobs::JobPlace;
 use crate::Failure;
-use wavex_engine::engine::Input;
+use wavex_engine::engine::{self, Input};
 use wavex_line::georef::{Geometry, Loader};
 use wavex_stages::writers::write_patches::{ENDING, PatchesFile, StripName, read_patches, read_strip_name};
 
@@ -16,6 +17,50 @@ pub(super) struct FoundStrip {
     /// The recording.
     recording: Result<PathBuf, String>,
     file: PathBuf,
+}
+
+/// Files of patches of each job; `None` if none are given.
+///
+/// Of several jobs, a file belongs to the first one that has its strip as an input and the calibration, mount and trajectory
+/// it was made with; without such a job, to the first one that has its strip; else to the first one it fits, or the first.
+///
+/// # Errors
+/// A folder that cannot be listed or has no patches.
+pub(super) fn of_jobs(
+    places: &[JobPlace<'_>],
+    given: &[PathBuf],
+    cell_m: f64,
+) -> Result<Vec<Option<Vec<PathBuf>>>, Failure> {
+    if given.is_empty() {
+        return Ok(vec![None; places.len()]);
+    }
+    if places.len() < 2 {
+        return Ok(vec![Some(given.to_vec()); places.len()]);
+    }
+    let mut files = Vec::new();
+    for path in given {
+        if path.is_dir() { files.extend(in_folder(path)?) } else { files.push(path.clone()) }
+    }
+    let mut made = vec![Some(Vec::new()); places.len()];
+    for file in files {
+        let patches = read_patches(&file).ok();
+        let rank = |place: &JobPlace<'_>| {
+            let Some(patches) = &patches else { return 0 };
+            let inputs = engine::inputs(place.job, place.input_dir()).unwrap_or_default();
+            let has_strip = inputs.iter().any(|input| input.stem == patches.stem);
+            let mut keys = place.job.settings.geometry.clone();
+            keys.corrections = None;
+            let geometry = Loader::new(&keys, place.input_dir())
+                .and_then(|mut loader| loader.load(&patches.stem, || false));
+            let fits = geometry.is_ok_and(|geometry| patches.difference(&geometry, cell_m).is_none());
+            2 * u8::from(has_strip) + u8::from(fits)
+        };
+        let ranks: Vec<u8> = places.iter().map(rank).collect();
+        let most = ranks.iter().max().copied().unwrap_or_default();
+        let job = ranks.iter().position(|rank| *rank == most).unwrap_or_default();
+        made[job].get_or_insert_default().push(file);
+    }
+    Ok(made)
 }
 
 /// Finds the files of patches in the order of the job's inputs, then by name; inputs without a file come last.

@@ -3,59 +3,78 @@
 use std::path::Path;
 
 use super::control::Control;
+use super::installations::installations;
+use super::jobs::JobPlace;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, TrajectoryModel, words};
 use crate::archive::size_and_digest_of;
 use wavex_align::estimable::{FlightFacts, Treatment, reasons};
+use wavex_align::parameters::{GLOBALS, Global};
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult, StripResult};
 use wavex_engine::build;
 use wavex_geodesy::trajectory::corrections::CorrectionKnot;
 use wavex_line::georef::keys::CalibrationKey;
 use wavex_pages::report::align::{
-    AlignReport, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest, Flight, Knot,
-    NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, SdFactor, TrajectoryForm,
-    TrajectorySds, TrajectoryWord, VERSION,
+    AlignReport, AlignedInstallation, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest,
+    Flight, Knot, NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, SdFactor, SharedErrors,
+    TrajectoryForm, TrajectorySds, TrajectoryWord, VERSION,
 };
 
 /// Everything that an alignment found.
 pub(super) fn report(
     request: &AlignRequest<'_>,
-    input_dir: &Path,
+    places: &[JobPlace<'_>],
     survey: &SurveyStrips,
     result: &Alignment,
     warnings: &[String],
     control: Option<&Control>,
 ) -> AlignReport {
-    let parameters = result.parameters.first().map_or(&[][..], |all| &all[..]);
+    let name = |(installation, parameter): (usize, Global)| {
+        places.get(installation).map_or_else(String::new, |place| place.label(parameter.name()))
+    };
     let correlations = result.correlations.iter().map(|found| ParameterCorrelation {
-        parameters: [found.first.1, found.second.1].map(|parameter| parameter.name().to_owned()),
+        parameters: [found.first, found.second].map(name),
         correlation: found.correlation,
     });
     let failures = survey.failures.iter();
     let failures =
         failures.map(|failed| FailedStrip { name: failed.name.clone(), problem: failed.problem.clone() });
-    let calibration = match &request.job.settings.geometry.calibration {
-        Some(CalibrationKey::File(file)) => Some(digested(&input_dir.join(file))),
+    let calibration = |place: &JobPlace<'_>| match &place.job.settings.geometry.calibration {
+        Some(CalibrationKey::File(file)) => Some(digested(&place.input_dir().join(file))),
         _ => None,
     };
+    let of_installation = |place: &JobPlace<'_>| {
+        Some(AlignedInstallation {
+            name: place.name.clone()?,
+            job: place.job.name.clone(),
+            calibration: calibration(place),
+        })
+    };
+    let parameters = installations(places, result).flat_map(|own| {
+        let name = own.name.map(str::to_owned);
+        own.parameters
+            .iter()
+            .map(move |found| AlignedParameter { installation: name.clone(), ..parameter(found, own.facts) })
+    });
     AlignReport {
         version: VERSION,
         wavex: build::VERSION.to_owned(),
         commit: build::COMMIT.to_owned(),
-        job: request.job.name.clone(),
+        job: super::job_names(places),
         trajectory_model: model(request.trajectory),
         verdict: result.verdict.into(),
-        problems: words::causes(result),
+        problems: words::causes(places, survey, result),
         remedy: words::remedy(result.verdict).map(str::to_owned),
         warnings: warnings.to_vec(),
-        parameters: parameters.iter().map(|found| parameter(found, &result.facts)).collect(),
-        covariance: covariance(parameters, &result.covariance),
+        parameters: parameters.collect(),
+        installations: places.iter().filter_map(of_installation).collect(),
+        covariance: covariance(result, name),
         correlations: correlations.collect(),
         strips: survey
             .strips
             .iter()
             .zip(&result.strips)
-            .map(|(strip, found)| self::strip(survey, strip, found))
+            .map(|(strip, found)| self::strip(places, survey, strip, found))
             .collect(),
         failed_strips: failures.collect(),
         overlaps: result.overlaps.iter().map(|found| overlap(survey, found)).collect(),
@@ -67,7 +86,10 @@ pub(super) fn report(
         rejected_pairs: result.n_rejected,
         flight: flight(&result.facts),
         trajectories: survey.trajectory_files.iter().map(|file| digested(file)).collect(),
-        calibration,
+        calibration: match places {
+            [only] => calibration(only),
+            _ => None,
+        },
         control: control.map(|control| {
             control.report(result, |strip| {
                 survey.strips.get(strip as usize).map_or_else(String::new, |strip| strip.name.clone())
@@ -81,6 +103,11 @@ pub(super) fn report(
                 is_used: own.is_used,
             });
             TrajectorySds { position, attitude }
+        }),
+        shared_errors: result.time_errors.filter(|own| own.factor > 1.0).map(|own| SharedErrors {
+            sd_factor: own.factor.sqrt(),
+            interval_s: own.interval_s,
+            variance_ratios: own.ratios,
         }),
     }
 }
@@ -111,12 +138,16 @@ fn flight(facts: &FlightFacts) -> Flight {
 }
 
 /// Rows and columns of the parameters that are not given.
-fn covariance(parameters: &[ParameterResult], all: &[Vec<f64>]) -> Covariance {
-    let is_open = |k: &usize| parameters.get(*k).is_some_and(|found| found.treatment != Treatment::Given);
-    let open: Vec<usize> = (0..parameters.len()).filter(is_open).collect();
+fn covariance(result: &Alignment, name: impl Fn((usize, Global)) -> String) -> Covariance {
+    let all = &result.covariance;
+    let of_installation = |(installation, own): (usize, &[ParameterResult; GLOBALS])| {
+        own.each_ref().map(|found| (installation, found.parameter, found.treatment))
+    };
+    let parameters: Vec<_> = result.parameters.iter().enumerate().flat_map(of_installation).collect();
+    let open: Vec<usize> = (0..parameters.len()).filter(|k| parameters[*k].2 != Treatment::Given).collect();
     let row = |i: &usize| open.iter().map(|j| all[*i][*j]).collect();
     Covariance {
-        parameters: open.iter().map(|k| parameters[*k].parameter.name().to_owned()).collect(),
+        parameters: open.iter().map(|k| name((parameters[*k].0, parameters[*k].1))).collect(),
         matrix: open.iter().map(row).collect(),
     }
 }
@@ -131,6 +162,7 @@ fn parameter(found: &ParameterResult, facts: &FlightFacts) -> AlignedParameter {
         .map(|(cause, remedy)| NotDetermined { cause: cause.to_owned(), remedy: remedy.to_owned() });
     AlignedParameter {
         name: found.parameter.name().to_owned(),
+        installation: None,
         start: found.start,
         value: found.value,
         sd: found.sd,
@@ -161,7 +193,12 @@ fn overlap(survey: &SurveyStrips, found: &OverlapResult) -> Overlap {
     }
 }
 
-fn strip(survey: &SurveyStrips, strip: &super::strips::SurveyStrip, found: &StripResult) -> AlignedStrip {
+fn strip(
+    places: &[JobPlace<'_>],
+    survey: &SurveyStrips,
+    strip: &super::strips::SurveyStrip,
+    found: &StripResult,
+) -> AlignedStrip {
     let knot = |(knot, sds): (&CorrectionKnot, &[f64; 6])| Knot {
         time_s: knot.time_s,
         north_east_down_m: knot.offset.north_east_down_m,
@@ -172,6 +209,7 @@ fn strip(survey: &SurveyStrips, strip: &super::strips::SurveyStrip, found: &Stri
     let file = digested(&strip.path);
     AlignedStrip {
         name: strip.name.clone(),
+        installation: places.get(strip.installation).and_then(|place| place.name.clone()),
         recording: file.path,
         bytes: file.bytes,
         blake3: file.blake3,

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::patch_files::find;
+use super::jobs::JobPlace;
+use super::patch_files::{find, of_jobs};
 use crate::Failure;
 use wavex_align::adjust::AlignSettings;
 use wavex_align::patch::{Horizon, Patch, PatchBudget, PatchCounts, PatchSettings};
@@ -25,7 +26,11 @@ const TICK: Duration = Duration::from_millis(500);
 /// A strip of the survey.
 pub(super) struct SurveyStrip {
     /// Stem of the recording.
+    pub(super) stem: String,
+    /// Stem, after the name of the job if there are several.
     pub(super) name: String,
+    /// Index of its job.
+    pub(super) installation: usize,
     /// The recording.
     pub(super) path: PathBuf,
     /// Index of its trajectory.
@@ -58,28 +63,22 @@ pub(super) struct SurveyStrips {
     pub(super) patches: Vec<Patch>,
     /// `None` if no shot has a pose.
     pub(super) horizon: Option<Horizon>,
-    /// Start values.
-    pub(super) scanner: Scanner,
+    /// Files of trajectories with their jobs: keys of a job change what a file means.
+    trajectory_jobs: Vec<usize>,
+    /// Start values of each job.
+    pub(super) scanners: Vec<Scanner>,
 }
 
-/// Patches of all inputs of a job: from files, or by its chain without its sinks.
+/// Patches of all inputs of the jobs: from files, or by their chains without their sinks.
 ///
 /// # Errors
-/// Inputs that cannot be found, files of the geometry that cannot be read, an interruption, fewer than two usable strips.
+/// Inputs that cannot be found, files of the geometry that cannot be read, an interruption, fewer than two usable strips, a
+/// job without usable strips.
 pub(super) fn collect(
-    job: &Job,
-    options: &Options,
+    places: &[JobPlace<'_>],
     settings: &AlignSettings,
     files: &[PathBuf],
 ) -> std::result::Result<SurveyStrips, Failure> {
-    let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    let inputs = engine::inputs(job, &options.input_dir);
-    let mut job = job.clone();
-    job.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
-    job.settings.geometry.corrections = None;
-    let mut loader =
-        Loader::new(&job.settings.geometry, &options.input_dir).map_err(|error| failed(&error))?;
-    let body_from_mount = job.settings.geometry.mount.unwrap_or_default().body_from_scanner();
     let mut survey = SurveyStrips {
         strips: Vec::new(),
         failures: Vec::new(),
@@ -87,40 +86,28 @@ pub(super) fn collect(
         trajectory_files: Vec::new(),
         patches: Vec::new(),
         horizon: None,
-        scanner: Scanner { body_from_mount, calibration: Default::default() },
+        trajectory_jobs: Vec::new(),
+        scanners: Vec::new(),
     };
     let mut budget = PatchBudget::default();
-    if files.is_empty() {
-        let inputs = inputs.map_err(|error| failed(&error))?;
-        if let [only] = inputs.as_slice() {
-            return Err(Failure::Wrong(format!(
-                "{}: the job has one input, `{}`, and alignment compares strips; give the reader a pattern such as \
-                 `path = \"*.las\"`",
-                job.name, only.stem
-            )));
-        }
-        let survey_models = engine::survey_models(&job, options).map_err(|error| failed(&error))?;
-        let options = Options { survey: survey_models.map(Arc::new), ..options.clone() };
-        let patches = PatchSettings { cell_m: settings.cell_m, ..PatchSettings::default() };
-        for input in inputs {
-            let name = input.stem.clone();
-            survey.take(name, strip_of(&job, input, &options, &mut loader, patches), &mut budget)?;
-        }
-    } else {
-        // Recordings need not be there, but they give the order of the strips.
-        let mut used = BTreeMap::new();
-        for found in find(files, &inputs.unwrap_or_default())? {
-            let name = found.name.clone();
-            let opened = found.open(&mut used, &mut loader, settings.cell_m).map_err(Failed::Strip);
-            let read = opened.and_then(|(patches, path, geometry)| ReadStrip::new(patches, &path, geometry));
-            survey.take(name, read, &mut budget)?;
-        }
+    let files = of_jobs(places, files, settings.cell_m)?;
+    for (place, files) in places.iter().zip(files) {
+        survey.take_job(place, settings, files.as_deref(), &mut budget)?;
     }
     survey.keep(budget);
-    match survey.strips.len() {
-        0 | 1 => Err(too_few(&survey)),
-        _ => Ok(survey),
+    if survey.strips.len() < 2 {
+        return Err(too_few(&survey));
     }
+    for (installation, place) in places.iter().enumerate() {
+        if !survey.strips.iter().any(|strip| strip.installation == installation) {
+            return Err(Failure::Run(format!(
+                "{}: no strip can be used; correct the problems, or leave the job out:{}",
+                place.job.name,
+                problems(&survey)
+            )));
+        }
+    }
+    Ok(survey)
 }
 
 /// Error if fewer than two strips are usable.
@@ -129,10 +116,14 @@ fn too_few(survey: &SurveyStrips) -> Failure {
         Some(only) => format!("only `{}` can be used", only.name),
         None => "no strip can be used".to_owned(),
     };
-    let problems: String = survey.failures.iter().map(|failed| format!("\n  {}", failed.problem)).collect();
+    let problems = problems(survey);
     Failure::Run(format!(
         "alignment needs two strips, but {usable}; correct the problems of the others:{problems}"
     ))
+}
+
+fn problems(survey: &SurveyStrips) -> String {
+    survey.failures.iter().map(|failed| format!("\n  {}", failed.problem)).collect()
 }
 
 /// Scanner with the calibration of the job.
@@ -172,8 +163,19 @@ impl ReadStrip {
             )));
         }
         let (path, n_patches) = (recording.to_owned(), patches.len());
-        let strip =
-            SurveyStrip { name: stem, path, trajectory: 0, clock, span_s, n_shots, n_patches, counts };
+        let name = stem.clone();
+        let strip = SurveyStrip {
+            stem,
+            name,
+            installation: 0,
+            path,
+            trajectory: 0,
+            clock,
+            span_s,
+            n_shots,
+            n_patches,
+            counts,
+        };
         Ok(ReadStrip { strip, patches, geometry })
     }
 }
@@ -185,16 +187,69 @@ impl SurveyStrips {
         cells.unwrap_or(0) as f64 * cell_m * cell_m
     }
 
+    /// Adds the strips of a job; `files`: its files of patches.
+    fn take_job(
+        &mut self,
+        place: &JobPlace<'_>,
+        settings: &AlignSettings,
+        files: Option<&[PathBuf]>,
+        budget: &mut PatchBudget,
+    ) -> std::result::Result<(), Failure> {
+        let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
+        let (options, mut job) = (&place.options, place.job.clone());
+        let inputs = engine::inputs(&job, place.input_dir());
+        job.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
+        job.settings.geometry.corrections = None;
+        let mut loader =
+            Loader::new(&job.settings.geometry, place.input_dir()).map_err(|error| failed(&error))?;
+        let body_from_mount = job.settings.geometry.mount.unwrap_or_default().body_from_scanner();
+        self.scanners.push(Scanner { body_from_mount, calibration: Default::default() });
+        let Some(files) = files else {
+            let inputs = inputs.map_err(|error| failed(&error))?;
+            if let ([only], None) = (inputs.as_slice(), &place.name) {
+                return Err(Failure::Wrong(format!(
+                    "{}: the job has one input, `{}`, and alignment compares strips; give the reader a pattern such as \
+                     `path = \"*.las\"`",
+                    job.name, only.stem
+                )));
+            }
+            let survey_models = engine::survey_models(&job, options).map_err(|error| failed(&error))?;
+            let options = Options { survey: survey_models.map(Arc::new), ..options.clone() };
+            let patches = PatchSettings { cell_m: settings.cell_m, ..PatchSettings::default() };
+            for input in inputs {
+                let name = input.stem.clone();
+                self.take(place, name, strip_of(&job, input, &options, &mut loader, patches), budget)?;
+            }
+            return Ok(());
+        };
+        // Recordings need not be there, but they give the order of the strips.
+        let mut used = BTreeMap::new();
+        for found in find(files, &inputs.unwrap_or_default())? {
+            let name = found.name.clone();
+            let opened = found.open(&mut used, &mut loader, settings.cell_m).map_err(Failed::Strip);
+            let read = opened.and_then(|(patches, path, geometry)| ReadStrip::new(patches, &path, geometry));
+            self.take(place, name, read, budget)?;
+        }
+        Ok(())
+    }
+
     /// Adds a strip, or its failure.
     fn take(
         &mut self,
+        place: &JobPlace<'_>,
         name: String,
         read: std::result::Result<ReadStrip, Failed>,
         budget: &mut PatchBudget,
     ) -> std::result::Result<(), Failure> {
         match read {
-            Ok(read) => self.add(read, budget),
-            Err(Failed::Strip(problem)) => self.failures.push(FailedStrip { name, problem }),
+            Ok(read) => self.add(place, read, budget),
+            Err(Failed::Strip(problem)) => {
+                let problem = match &place.name {
+                    Some(_) => format!("{}: {problem}", place.job.name),
+                    None => problem,
+                };
+                self.failures.push(FailedStrip { name: place.label(&name), problem });
+            }
             Err(Failed::All(failure)) => return Err(failure),
         }
         Ok(())
@@ -210,18 +265,25 @@ impl SurveyStrips {
         self.patches = patches;
     }
 
-    fn add(&mut self, read: ReadStrip, budget: &mut PatchBudget) {
+    fn add(&mut self, place: &JobPlace<'_>, read: ReadStrip, budget: &mut PatchBudget) {
         let ReadStrip { mut strip, patches, geometry } = read;
         let Some((file, trajectory)) = geometry.trajectory() else { return };
-        strip.trajectory = match self.trajectory_files.iter().position(|known| known == file) {
+        strip.name = place.label(&strip.stem);
+        strip.installation = self.scanners.len().saturating_sub(1);
+        let mut known = self.trajectory_files.iter().zip(&self.trajectory_jobs);
+        let known = known.position(|(known, job)| known == file && *job == strip.installation);
+        strip.trajectory = match known {
             Some(known) => known,
             None => {
                 self.trajectory_files.push(file.to_owned());
+                self.trajectory_jobs.push(strip.installation);
                 self.trajectories.push(trajectory.clone());
                 self.trajectories.len() - 1
             }
         };
-        self.scanner = start(&self.scanner, &geometry);
+        if let Some(scanner) = self.scanners.last_mut() {
+            *scanner = start(scanner, &geometry);
+        }
         if self.horizon.is_none() {
             let first = trajectory.samples().iter().find(|sample| sample.time_s >= strip.span_s[0]);
             self.horizon = first.map(|sample| Horizon::at(sample.place));

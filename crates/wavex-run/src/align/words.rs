@@ -4,11 +4,14 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use super::control::Control;
+use super::installations::{installations, misplaced};
+use super::jobs::JobPlace;
 use super::strips::SurveyStrips;
-use super::{AlignRequest, CALIBRATION_FILE, CORRECTIONS_FILE};
+use super::{CALIBRATION_FILE, CORRECTIONS_FILE};
 use crate::from_returns::writes_returns;
 use wavex_align::estimable::{
-    DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, FlightFacts, Treatment, Verdict, reasons,
+    DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, DOUBTFUL_SHARED, FlightFacts, Treatment, Verdict,
+    reasons,
 };
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult};
 use wavex_engine::job::Job;
@@ -22,13 +25,22 @@ const LISTED: usize = 12;
 const NOTED_FACTOR: f64 = 1.5;
 
 /// Parameters, differences of the strips, verdict.
-pub(super) fn summary(survey: &SurveyStrips, result: &Alignment, control: Option<&Control>) -> String {
+pub(super) fn summary(
+    places: &[JobPlace<'_>],
+    survey: &SurveyStrips,
+    result: &Alignment,
+    control: Option<&Control>,
+) -> String {
     let mut text = String::new();
-    let parameters = result.parameters.first().map_or(&[][..], |all| &all[..]);
     // Writing to a text cannot fail.
     let _ = writeln!(text, "{:<24} {:>12} {:>10}", "parameter", "value", "SD");
-    for found in parameters.iter().filter(|found| found.treatment != Treatment::Given) {
-        text += &line_of(found, &result.facts);
+    for own in installations(places, result) {
+        if let Some(name) = own.name {
+            let _ = writeln!(text, "{name}:");
+        }
+        for found in own.parameters.iter().filter(|found| found.treatment != Treatment::Given) {
+            text += &line_of(found, own.facts);
+        }
     }
     let names: Vec<&str> = survey.strips.iter().map(|strip| strip.name.as_str()).collect();
     text += &differences(&names, result);
@@ -77,12 +89,12 @@ fn before_and_after([before_m, after_m]: [f64; 2]) -> String {
 }
 
 /// What is wrong with an alignment that is not good, and what to do.
-pub(super) fn problem(result: &Alignment) -> Option<String> {
+pub(super) fn problem(places: &[JobPlace<'_>], survey: &SurveyStrips, result: &Alignment) -> Option<String> {
     let remedy = remedy(result.verdict)?;
     Some(format!(
         "the alignment is {}: {}; {remedy}",
         AlignVerdict::from(result.verdict).word(),
-        causes(result).join("; ")
+        causes(places, survey, result).join("; ")
     ))
 }
 
@@ -100,7 +112,7 @@ pub(super) fn remedy(verdict: Verdict) -> Option<&'static str> {
 }
 
 /// Reasons why an alignment is not good; empty if it is good.
-pub(super) fn causes(result: &Alignment) -> Vec<String> {
+pub(super) fn causes(places: &[JobPlace<'_>], survey: &SurveyStrips, result: &Alignment) -> Vec<String> {
     let mut causes = Vec::new();
     if result.verdict == Verdict::Good {
         return causes;
@@ -118,16 +130,38 @@ pub(super) fn causes(result: &Alignment) -> Vec<String> {
     if result.spread_m[1] > result.spread_m[0] {
         causes.push("strips differ more than before".to_owned());
     }
-    let moved = result.parameters.iter().flatten().filter(|found| found.change_sds() > DOUBTFUL_CHANGE_SDS);
-    causes.extend(moved.map(|found| {
+    causes.extend(misplaced(survey, result));
+    causes.extend(shared_errors(result));
+    let all =
+        installations(places, result).flat_map(|own| own.parameters.iter().map(move |one| (own.name, one)));
+    let moved = all.filter(|(_, found)| found.change_sds() > DOUBTFUL_CHANGE_SDS);
+    causes.extend(moved.map(|(installation, found)| {
         let (name, unit_name, unit) = found.parameter.label();
         let change = (found.value - found.start) / unit;
         format!(
-            "the {name} moves by {change:.3} {unit_name}, {:.0} SDs of its start value",
+            "the {name}{} moves by {change:.3} {unit_name}, {:.0} SDs of its start value",
+            installation.map_or_else(String::new, |name| format!(" of {name}")),
             found.change_sds()
         )
     }));
     causes
+}
+
+/// Errors of trajectories that their corrections do not follow; `None` below the threshold.
+fn shared_errors(result: &Alignment) -> Option<String> {
+    let found = result.time_errors.filter(|own| own.factor > DOUBTFUL_SHARED)?;
+    Some(format!(
+        "trajectories change within {:.1} s by more than their corrections, and all SDs are raised {:.1} times for it; give \
+         knots closer than that with `--trajectory`, such as `--trajectory {}`",
+        2.0 * found.interval_s,
+        found.factor.sqrt(),
+        knots_s(found.interval_s)
+    ))
+}
+
+/// Distance of knots that follows errors which intervals of this length show, s.
+fn knots_s(interval_s: f64) -> f64 {
+    [20.0, 10.0, 5.0, 2.0, 1.0].into_iter().find(|step_s| *step_s <= interval_s).unwrap_or(0.5)
 }
 
 fn line_of(found: &ParameterResult, facts: &FlightFacts) -> String {
@@ -152,26 +186,31 @@ fn line_of(found: &ParameterResult, facts: &FlightFacts) -> String {
 }
 
 /// Keys of the job that use the files, as `KEY=VALUE`.
-pub(super) fn settings(request: &AlignRequest<'_>, input_dir: &Path, written: &[PathBuf]) -> Vec<String> {
+pub(super) fn settings(place: &JobPlace<'_>, written: &[PathBuf]) -> Vec<String> {
     let files = [(CALIBRATION_FILE, "calibration"), (CORRECTIONS_FILE, "corrections")];
-    let written = files.into_iter().filter(|(name, _)| written.iter().any(|path| path.ends_with(name)));
-    let setting = |(name, key): (&str, &str)| {
-        let file = from_inputs(&request.output.join(name), input_dir);
+    let files = files.map(|(name, key)| (place.output.join(name), key));
+    let written = files.into_iter().filter(|(file, _)| written.contains(file));
+    let setting = |(file, key): (PathBuf, &str)| {
+        let file = from_inputs(&file, place.input_dir());
         format!("job.geometry.{key}={}", toml::Value::String(file.display().to_string()))
     };
     written.map(setting).collect()
 }
 
-/// The command that uses the files.
-pub(super) fn next_command(request: &AlignRequest<'_>, settings: &[String]) -> String {
-    let mut command = format!("wavex run {}", request.job.name);
-    if reads_returns(request.job) || writes_returns(request.job) {
-        command += " --from-returns";
+/// The commands that use the files.
+pub(super) fn next_commands(places: &[JobPlace<'_>], settings: &[Vec<String>]) -> String {
+    let mut text = String::new();
+    for (place, settings) in places.iter().zip(settings).filter(|(_, settings)| !settings.is_empty()) {
+        let _ = write!(text, "next: wavex run {}", place.job.name);
+        if reads_returns(place.job) || writes_returns(place.job) {
+            text += " --from-returns";
+        }
+        for setting in settings {
+            let _ = write!(text, " \\\n  --set '{setting}'");
+        }
+        text.push('\n');
     }
-    for setting in settings {
-        let _ = write!(command, " \\\n  --set '{setting}'");
-    }
-    format!("next: {command}\n")
+    text
 }
 
 /// Whether the job was made by [`from_returns`](crate::from_returns).

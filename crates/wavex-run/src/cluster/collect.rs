@@ -10,7 +10,7 @@ use super::merge::{Merge, TaskResult};
 use super::plan::pattern_of_patches;
 use super::{INCLUDED, JOB, MOST_BYTES, PLAN, PlannedAlignment, REMEDY, SurveyPlan, Task};
 use crate::Failure;
-use crate::align::{AlignConstraints, AlignRequest, Aligned, OptionalParameter, align};
+use crate::align::{AlignConstraints, AlignJob, AlignRequest, Aligned, OptionalParameter, align};
 use crate::archive::{Seals, digest_of, plain};
 use wavex_engine::engine::{self, Cancel, InputStatus, InputSummary, Options, ProgressMode, RunSummary};
 use wavex_engine::job::{Include, Job, JobStage, Override};
@@ -102,9 +102,9 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
         let name = plain(&job_dir.join(&plan.job)).display().to_string();
         let wrong =
             |problem: String| Failure::Run(format!("{PLAN}: the alignment is invalid: {problem}; {REMEDY}"));
+        let job = Job { name, ..job.clone() };
         align(&AlignRequest {
-            job: &Job { name, ..job.clone() },
-            folder: &job_dir,
+            jobs: &[AlignJob { job: &job, folder: &job_dir }],
             output: &plain(&root.join(&planned.folder)),
             trajectory: planned.trajectory.parse().map_err(wrong)?,
             constraints: constraints(planned, root).map_err(wrong)?,

@@ -162,6 +162,11 @@ fn label_of(name: &str) -> (&str, &str, f64) {
     }
 }
 
+/// Text after the installation, if there are several.
+fn of_installation(installation: Option<&str>, text: &str) -> String {
+    installation.map_or_else(|| text.to_owned(), |installation| format!("{installation}: {text}"))
+}
+
 /// Text with its unit.
 fn titled(text: &str, unit: &str) -> String {
     if unit.is_empty() { text.to_owned() } else { format!("{text}, {unit}") }
@@ -186,6 +191,7 @@ fn parameters(report: &AlignReport) -> Markup {
         .filter(|parameter| !is_open(parameter))
         .map(|parameter| {
             let (text, unit, size) = label_of(&parameter.name);
+            let text = of_installation(parameter.installation.as_deref(), text);
             format!("{text} {} {unit}", short(parameter.value / size)).trim_end().to_owned()
         })
         .collect();
@@ -208,7 +214,7 @@ fn parameters(report: &AlignReport) -> Markup {
             _ => reasons.join("; "),
         };
         vec![
-            titled(text, unit),
+            of_installation(parameter.installation.as_deref(), &titled(text, unit)),
             number(parameter.start),
             number(parameter.prior_sd),
             number(parameter.value),
@@ -220,7 +226,10 @@ fn parameters(report: &AlignReport) -> Markup {
         ]
     };
     let correlations = report.correlations.iter().map(|found| {
-        let [first, second] = found.parameters.each_ref().map(|name| label_of(name).0.to_owned());
+        let [first, second] = found.parameters.each_ref().map(|name| match name.split_once('/') {
+            Some((installation, name)) => of_installation(Some(installation), label_of(name).0),
+            None => label_of(name).0.to_owned(),
+        });
         vec![first, second, label(found.correlation, 3)]
     });
     html! {
@@ -375,7 +384,9 @@ fn flight_and_files(report: &AlignReport) -> Markup {
         .map(|strip| file("recording", &strip.recording, strip.bytes, strip.blake3.as_ref()));
     let trajectories = report.trajectories.iter().map(of("trajectory"));
     let calibration = report.calibration.iter().map(of("calibration"));
-    let files = calibration.chain(trajectories).chain(recordings);
+    let of_jobs =
+        report.installations.iter().filter_map(|own| own.calibration.as_ref()).map(of("calibration"));
+    let files = calibration.chain(of_jobs).chain(trajectories).chain(recordings);
     let left_out = (report.strips.len() + report.trajectories.len()).saturating_sub(MOST_FILES);
     html! {
         div.sections { (section("What the pairs show of the flight", rows.into_iter().map(|(name, value)| (name.to_owned(), value)))) }
@@ -393,6 +404,7 @@ mod tests {
     fn unknown() -> AlignReport {
         let strip = |name: &str| AlignedStrip {
             name: name.to_owned(),
+            installation: None,
             recording: format!("{name}.las"),
             bytes: None,
             blake3: None,
@@ -420,6 +432,7 @@ mod tests {
             problems: vec!["60 % of the pairs are rejected".to_owned()],
             remedy: Some("check mount".to_owned()),
             warnings: Vec::new(),
+            installations: Vec::new(),
             parameters: Vec::new(),
             covariance: Covariance::default(),
             correlations: Vec::new(),
@@ -453,6 +466,7 @@ mod tests {
             control: None,
             reference_strips: Vec::new(),
             trajectory_sds: None,
+            shared_errors: None,
         }
     }
 
