@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::ThreadPoolBuilder;
 
 use crate::Failure;
+use control::Control;
 use jobs::JobPlace;
 use strips::{SurveyStrips, collect};
 use wavex_align::adjust::{AlignSettings, Constraints, align_with as adjust};
