@@ -76,7 +76,7 @@ pub(super) fn places<'a>(request: &AlignRequest<'a>) -> Result<Vec<JobPlace<'a>>
         for (key, own, of_first) in [
             ("crs", own.crs.clone(), of_first.crs.clone()),
             ("geoid", own.geoid.clone(), of_first.geoid.clone()),
-            ("unit", unit(own).map(Into::into), unit(of_first).map(Into::into)),
+            ("unit", unit(own), unit(of_first)),
         ] {
             if own != of_first {
                 let word =
