@@ -90,9 +90,8 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
         let place = envelope.place_of(object);
         let is_near = place.above_m <= free_air_m;
         let is_thin = object.is_thin(objects.step_m) && (is_near || object.n_points >= WIRE);
-        let is_small = object.n_points <= BIRDS
-            && object.extent_m() <= FLOCK_M
-            && place.above_m > objects.step_m;
+        let is_small =
+            object.n_points <= BIRDS && object.extent_m() <= FLOCK_M && place.above_m > objects.step_m;
         match place.above_m {
             above_m if above_m > settings.isolated_m || place.below_m > settings.isolated_m => continue,
             _ if is_thin => {}
@@ -110,8 +109,7 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
     let evidence = passes(points, &objects, &of_object, &is_accepted);
     for (&(at, above_m), seen) in doubtful.iter().zip(&evidence) {
         let is_compact = objects.list[at].extent_m() <= BIRD_M;
-        let is_noise =
-            if above_m > free_air_m { seen.is_transparent() } else { seen.is_bird(is_compact) };
+        let is_noise = if above_m > free_air_m { seen.is_transparent() } else { seen.is_bird(is_compact) };
         is_accepted[at] = !is_noise;
         if !is_noise {
             envelope.add(&objects.list[at]);
@@ -139,8 +137,7 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
                     && offset.is_some_and(|offset| offset.above_m < -2.0 * objects.step_m);
                 let is_doubtful =
                     is_low && !is_wall || is_separate[at] && offset.is_some_and(|offset| offset.is_lower());
-                let is_contradicted = is_doubtful
-                    && low.is_crossed_surface(points, &objects, &points[point])
+                let is_contradicted = is_doubtful && low.is_crossed_surface(points, &objects, &points[point])
                     || low.is_alone_below(points, &objects, position_m);
                 if is_contradicted { Class::LowNoise } else { Class::Unclassified }
             } else if by_chance(object)

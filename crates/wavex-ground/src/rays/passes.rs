@@ -143,7 +143,8 @@ fn in_layer(places: &[Place], ends: &[End], radius_m: f64) -> Vec<(usize, Eviden
         seen.clear();
         for &at in near {
             let Place { position_m: [px, py, pz], object } = places[at];
-            let is_end_below = end.own.map_or(end.position_m[2] < pz - radius_m.max(1.0), |own| own as usize == object);
+            let is_end_below =
+                end.own.map_or(end.position_m[2] < pz - radius_m.max(1.0), |own| own as usize == object);
             let [bx, by] = end.at(pz);
             let is_near = (bx - px) * (bx - px) + (by - py) * (by - py) <= radius_m * radius_m;
             if is_end_below && is_near && !seen.contains(&object) {
