@@ -225,9 +225,9 @@ impl Objects {
                 let mut heights_m = [f64::INFINITY, f64::NEG_INFINITY];
                 for &point in &self.order[voxel.from..voxel.to] {
                     let position_m = points[point].position_m;
-                    for (axis, value_m) in position_m.into_iter().enumerate() {
-                        object.low_m[axis] = object.low_m[axis].min(value_m);
-                        object.high_m[axis] = object.high_m[axis].max(value_m);
+                    for (axis, value) in position_m.into_iter().enumerate() {
+                        object.low_m[axis] = object.low_m[axis].min(value);
+                        object.high_m[axis] = object.high_m[axis].max(value);
                     }
                     heights_m = [heights_m[0].min(position_m[2]), heights_m[1].max(position_m[2])];
                 }
