@@ -7,9 +7,7 @@ use rayon::ThreadPoolBuilder;
 use wavex_engine::engine::Cancel;
 use wavex_formats::geotiff::{NO_DATA, RasterGrid, RasterWriter, TILE, TileValues, empty_tile_of};
 use wavex_ground::point::CloudPoint;
-use wavex_ground::terrain::{
-    CellRange, TerrainModel, TerrainOptions, learn_terrain, terrain_of_tile,
-};
+use wavex_ground::terrain::{CellRange, TerrainModel, TerrainOptions, learn_terrain, terrain_of_tile};
 use wavex_line::stage::OutputFile;
 
 use super::{GroundTiles, TILE_M, Tile};
