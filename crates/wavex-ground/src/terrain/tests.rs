@@ -39,7 +39,8 @@ fn tiles_and_the_order_of_points_do_not_change_cells() {
     let mut reversed = points.clone();
     reversed.reverse();
     let from_reversed = learn_terrain(&[reversed], None, 50.0);
-    assert_eq!(model, from_reversed);
+    // Unknown SDs are NaN, which equal nothing.
+    assert_eq!(format!("{model:?}"), format!("{from_reversed:?}"));
     for (left, top) in [(0, 0), (23, 0), (0, 23), (23, 23)] {
         let part = cells(2500 + left as i64, 22 - top as i64, 23, 23);
         let low = [part.first_column as f64 * 2.0, (part.north_row - 22) as f64 * 2.0];
