@@ -10,6 +10,7 @@ mod agreement;
 mod compressed;
 mod footprints;
 mod geometry_alone;
+mod ground;
 mod instruments;
 mod lvis;
 mod planes;
