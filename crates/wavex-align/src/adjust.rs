@@ -204,18 +204,30 @@ pub fn align_with(
         problem.shared = found.map_or(1.0, |found| found.factor);
         found
     };
-    find_time_errors(&mut problem, &state, &pairs);
     let trajectory_sds = match settings.fits_trajectory_sds {
-        false => None,
+        false => {
+            find_time_errors(&mut problem, &state, &pairs);
+            None
+        }
         true => {
-            let found = problem.fit_trajectory_sds(&mut state, |problem, state| {
-                let weighting = weighting(problem, state, &pairs, fine.reject);
-                let normal = problem.normal(state, &pairs, &weighting, false);
-                let right = normal.right.clone();
-                let factor = normal.matrix.factor().ok_or(AlignError::NotSolvable)?;
-                apply(problem, state, &factor.solve(&right))?;
-                Ok(factor.selected_inverse())
-            })?;
+            let fit = |problem: &mut Problem<'_>, state: &mut State| {
+                problem.fit_trajectory_sds(state, |problem, state| {
+                    let weighting = weighting(problem, state, &pairs, fine.reject);
+                    let normal = problem.normal(state, &pairs, &weighting, false);
+                    let right = normal.right.clone();
+                    let factor = normal.matrix.factor().ok_or(AlignError::NotSolvable)?;
+                    apply(problem, state, &factor.solve(&right))?;
+                    Ok(factor.selected_inverse())
+                })
+            };
+            let (given, before) = (problem.priors.offsets.clone(), state.clone());
+            let mut found = fit(&mut problem, &mut state)?;
+            // What corrections follow with larger SDs is not an error that they leave.
+            find_time_errors(&mut problem, &state, &pairs);
+            if problem.shared > 1.0 {
+                (problem.priors.offsets, state) = (given, before);
+                found = fit(&mut problem, &mut state)?;
+            }
             pairs = match_patches(survey, &state, &matching(fine));
             problem.control = match_control(survey, constraints.control, &state, settings.cell_m);
             Some(found)

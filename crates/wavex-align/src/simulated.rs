@@ -60,6 +60,8 @@ pub(crate) struct Plan {
     /// Error of the recorded height of each strip, m.
     pub(crate) heights_m: Vec<f64>,
     pub(crate) seed: u64,
+    /// Amplitude of an error of the recorded height with a period of 8 s, m.
+    pub(crate) bump_m: f64,
     /// Scanners of further installations, true and at the start, with the first strip of each.
     pub(crate) others: Vec<(usize, Scanner, Scanner)>,
 }
@@ -94,6 +96,7 @@ impl Plan {
             noise_m: 0.003,
             bias_m: flat,
             seed: 1,
+            bump_m: 0.0,
             others: Vec::new(),
         }
     }
@@ -106,7 +109,11 @@ impl Plan {
     }
 
     /// Trajectory of a strip along a line, with an error of its height.
-    pub(crate) fn trajectory(&self, strip: usize, (right_m, course): (f64, f64), error_m: f64) -> Trajectory {
+    pub(crate) fn trajectory(&self, strip: usize, line: (f64, f64), error_m: f64) -> Trajectory {
+        self.recorded(strip, line, error_m, 0.0)
+    }
+
+    fn recorded(&self, strip: usize, (right_m, course): (f64, f64), error_m: f64, bump_m: f64) -> Trajectory {
         let frame = LocalFrame::at(WGS84, PLACE);
         let phase = strip as f64;
         let sample = |k: u32| {
@@ -117,7 +124,7 @@ impl Plan {
             let sway = |amplitude: f64, rate: f64| amplitude * (rate * t + phase).sin();
             Sample {
                 time_s: start_s(strip) + t,
-                place: frame.geodetic_of([x, y, HEIGHT_M + error_m]),
+                place: frame.geodetic_of([x, y, HEIGHT_M + error_m + bump_m * (0.8 * t + phase).sin()]),
                 attitude: Attitude {
                     roll_rad: sway(0.02, 1.1),
                     pitch_rad: 0.02 + sway(0.012, 0.9),
@@ -149,7 +156,7 @@ impl Plan {
             let start_s = start_s(strip);
             let duration_s = self.length_m / SPEED_MPS;
             let truth = self.trajectory(strip, (right_m, course), 0.0);
-            let recorded = self.trajectory(strip, (right_m, course), self.heights_m[strip]);
+            let recorded = self.recorded(strip, (right_m, course), self.heights_m[strip], self.bump_m);
             let mut poses = truth.poses();
             for line in 0..(duration_s * SPEED_MPS / SPACING_M) as u32 {
                 for column in -44..=44 {
