@@ -210,7 +210,7 @@ pub fn align_with(
             None
         }
         true => {
-            let fit = |problem: &mut Problem<'_>, state: &mut State| {
+            let fit = |problem: &mut Problem<'_>, state: &mut State| -> Result<_, AlignError> {
                 problem.fit_trajectory_sds(state, |problem, state| {
                     let weighting = weighting(problem, state, &pairs, fine.reject);
                     let normal = problem.normal(state, &pairs, &weighting, false);
