@@ -67,7 +67,8 @@ pub(super) const CLASSIFY: &str = "\
 Examples:
   wavex classify strip04.laz -o classified.laz
   wavex classify strips -o classified --report classified.json
-  wavex classify 'strips/*.laz' -o classified --keep 6,9,17";
+  wavex classify 'strips/*.laz' -o classified --keep 6,9,17
+  wavex classify strips -o classified --dem terrain.tif --cell 0.5";
 
 pub(super) const CALIBRATE: &str = "\
 Examples:

@@ -53,6 +53,7 @@ Commands:
   report        Render a run's report as a page: timing, counts, sensor model, warnings
   survey        Make the page of a survey from the strips of one or more runs
   align         Align the strips of a survey: calibration and corrections of trajectories
+  classify      Classify the ground of clouds of points: LAS, LAZ, COPC of any source
   trajectory    Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
   view          Explore a recording, a job or a run's outputs in the browser: points, waveforms, fits
   import        Translate a command line of BayesWavEx 1.0 or 1.1 into a job
@@ -121,7 +122,7 @@ fn the_help_of_every_command_ends_with_examples() {
     let help = wavex(&["--help"]).out;
     let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
     let commands: Vec<&str> = commands.map_while(|line| line.split_whitespace().next()).collect();
-    assert_eq!(commands.len(), 25, "{commands:?}");
+    assert_eq!(commands.len(), 26, "{commands:?}");
     for command in commands.into_iter().filter(|command| *command != "help") {
         let help = wavex(&[command, "--help"]).out;
         let examples = help.split_once("\nExample").map(|(_, examples)| examples).unwrap_or_default();
