@@ -180,7 +180,10 @@ impl Plan {
                         let [x, y, _] = at(beam);
                         beam.range_m += noise_m + (self.bias_m)(x, y) * if strip == 0 { 1.0 } else { 0.0 };
                     }
-                    // Anticlockwise as seen from above.
+                    // Anticlockwise as seen from above: the right of a scanner mounted backwards is on the left.
+                    if of_strip.body_from_mount[1][1] < 0.0 {
+                        beams.swap(0, 1);
+                    }
                     flight.patches.push(Patch {
                         strip: strip as u32,
                         n_returns: 20,

@@ -282,7 +282,7 @@ fn control_points_determine_the_height() {
     let found = of(&with, Global::LeverDown);
     assert_eq!(found.treatment, Treatment::Estimated);
     assert!(found.sd < 0.8 * down.sd && (found.value - 0.06).abs() < 3.0 * found.sd, "{found:?} {down:?}");
-    assert_eq!(with.control.scale, 1.0);
+    assert!(with.control.scale < 1.01, "{}", with.control.scale);
     assert_eq!(with.facts.control_points, 12);
     for own in &with.control.differences {
         assert!(own.len() >= 2, "{own:?}");
@@ -421,8 +421,8 @@ fn installations_have_parameters_of_their_own() {
     let plan = two_installations();
     let flight = plan.fly();
     let result = aligned(&flight);
-    let rejected = result.n_rejected as f64 / result.n_pairs as f64;
-    assert!(result.parameters.len() == 2 && result.spread_m[1] < 0.005, "{:?} {rejected}", result.verdict);
+    assert_eq!((result.parameters.len(), result.verdict), (2, Verdict::Good));
+    assert!(result.n_rejected * 100 < result.n_pairs, "{} {}", result.n_rejected, result.n_pairs);
     for (own, truth) in result.parameters.iter().zip([plan.truth, plan.others[0].1]) {
         for found in own.iter().filter(|found| found.treatment == Treatment::Estimated) {
             let error = found.value - found.parameter.of(&truth);
@@ -442,7 +442,10 @@ fn installations_have_parameters_of_their_own() {
 /// One calibration for two installations leaves differences, or corrections that no trajectory needs.
 #[test]
 fn one_calibration_does_not_fit_two_installations() {
-    let mut flight = two_installations().fly();
+    let mut plan = two_installations();
+    let (_, truth, start) = &mut plan.others[0];
+    (truth.body_from_mount, start.body_from_mount) = (plan.start.body_from_mount, plan.start.body_from_mount);
+    let mut flight = plan.fly();
     for strip in &mut flight.strips {
         strip.installation = 0;
     }
@@ -471,7 +474,8 @@ fn errors_that_corrections_do_not_follow_raise_the_sds() {
     plan.bump_m = 0.03;
     let flight = plan.fly();
     let with = |trajectory_model| {
-        align(&flight.survey(), &AlignSettings { trajectory_model, ..settings() }).unwrap()
+        align(&flight.survey(), &AlignSettings { trajectory_model, fits_trajectory_sds: false, ..settings() })
+            .unwrap()
     };
     let (stiff, free) = (with(TrajectoryModel::Constant), with(TrajectoryModel::Spline(1.0)));
     let factor = |result: &Alignment| result.time_errors.unwrap().factor;
@@ -482,7 +486,7 @@ fn errors_that_corrections_do_not_follow_raise_the_sds() {
         free.time_errors
     );
     assert!(stiff.verdict >= Verdict::Doubtful);
-    let settings = AlignSettings { fits_time_errors: false, ..settings() };
+    let settings = AlignSettings { fits_time_errors: false, fits_trajectory_sds: false, ..settings() };
     let without = align(&flight.survey(), &settings).unwrap();
     assert!(of(&stiff, Global::Roll).formal_sd > 1.5 * of(&without, Global::Roll).formal_sd);
 }
