@@ -228,7 +228,7 @@ pub(super) enum Command {
     Survey(SurveyArgs),
     /// Align the strips of a survey: calibration and corrections of trajectories
     ///
-    /// Runs the job over all its inputs without its outputs, and compares smooth surface where strips overlap.
+    /// Runs the job, or several jobs, over all inputs without outputs, and compares smooth surface where strips overlap.
     /// Writes boresight, lever arm and range offset as calibration.toml, corrections of each strip's trajectory as
     /// corrections.toml, all results with standard deviations as align.json and as a page (align.html), and the
     /// differences of all pairs of patches (residuals.arrow). Prints what the flight does not determine, and why.
@@ -239,9 +239,10 @@ pub(super) enum Command {
     Align(AlignArgs),
     /// Classify the ground of clouds of points: LAS, LAZ, COPC of any source
     ///
-    /// Writes copies of the clouds in which only the classes differ: 1 unclassified, 2 ground, 7 low noise, 18 high noise.
-    /// All clouds share the ground, so give the strips of a survey together. Points that are withheld, synthetic or noise
-    /// according to the file stay as they are. docs/how-to/ground-and-terrain.md describes it.
+    /// Writes copies of the clouds in which only the classes differ: 1 unclassified, 2 ground, 7 low noise, 18 high noise
+    /// (7 in point formats 0 to 5). Clouds are classified together, so give all strips of a survey. Points that are
+    /// withheld, synthetic or noise according to the file keep their class. --dem also writes a terrain model.
+    /// docs/how-to/ground-and-terrain.md describes it.
     #[command(after_help = usage::CLASSIFY)]
     Classify(ClassifyArgs),
     /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text

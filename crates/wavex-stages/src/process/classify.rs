@@ -19,19 +19,20 @@ use cloud::CloudOfMap;
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<Classify>("classify", &[Kind::Points]);
 
-/// Classifies points: ground (2), low and high noise (7, 18), all others (1).
+/// Classifies points: ground (2), noise (7, 18), others (1).
 ///
-/// Points and beams of a block of scan lines are evidence about each other. A point below the surface that
-/// other beams have met around it is low noise. An object in the air, through whose place other beams have passed, is high
-/// noise. Noise is marked as withheld; it is never removed. The ground is then found among the other points; echo widths,
-/// overlap and standard deviations are used where they help. `docs/explanation/ground.md` gives the methods and measurements.
+/// Points of a block of scan lines are compared with the beams of the same block. A point is low noise (7) if it is below the
+/// surface that other beams have met around it. An object in the air is high noise (18) if other beams have passed through its
+/// place. Noise is marked as withheld; it is never removed. The ground is then found among the other points.
+/// Only last returns can be ground. Echo widths, overlap flags and standard deviations are not used.
+/// `docs/explanation/ground.md` gives the methods and measurements.
 ///
-/// Blocks follow the flight, and their borders depend on the data alone. Lines within `margin_m` before and
-/// after a block take part in its classification. If `memory_mb` cannot hold them, blocks are shorter, and
-/// the report says so. Only points of one flight line are compared; `wavex classify` compares all points of several files.
+/// Blocks follow the flight. Lines within `margin_m` before and after a block are used in its classification. If `memory_mb`
+/// cannot hold them, blocks are shorter, and the report says so. Only points of one flight line are compared;
+/// `wavex classify` compares all points of several files.
 ///
-/// Returns that an earlier stage has withheld keep their class and are not used. Lines whose points are not in a map pass
-/// through unchanged, with a warning. Water is not recognised.
+/// Returns that an earlier stage has withheld keep their class and are not used. Without map coordinates, lines pass through
+/// unchanged, with a warning. Water is not recognised.
 ///
 /// Counts `np_air np_low`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]

@@ -19,7 +19,7 @@ use model::ModelFilter;
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outliers", &[Kind::Returns]);
 
-/// Marks isolated returns and rejects waveforms that deviate from their line.
+/// Marks isolated returns; rejects waveforms that deviate from their line.
 ///
 /// A return is supported if at least three others can be reached from it in steps of at most
 /// `max_range_m`, or of 2.5 times the shot or line spacing if that is larger. The search covers the
@@ -36,11 +36,12 @@ pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outl
 /// `docs/explanation/outliers.md` gives the method and measurements.
 ///
 /// **`method = "model"`** marks returns that contradict other beams: returns below the surface that other
-/// beams have met, and objects in the air through whose place other beams have passed, whatever their number of returns. It
-/// rejects no waveforms. Blocks of 250 m of the flight are held back with 100 m before and after, or less, with a
-/// note, if `memory_mb` cannot hold them. `docs/explanation/ground.md` compares both methods.
+/// beams have met, and objects in the air, of any size, through whose place other beams have passed. It rejects no
+/// waveforms. Lines are held back in blocks of 250 m along the flight, with 100 m before and after. If `memory_mb` cannot
+/// hold them, blocks are shorter, and the report says so. `docs/explanation/ground.md` compares both methods.
 ///
-/// `method = "neighbours"` holds back sixteen lines, or fewer, with a note, if `memory_mb` cannot hold them.
+/// `method = "neighbours"` holds back sixteen lines. If `memory_mb` cannot hold them, it holds back fewer, and the report
+/// says so.
 ///
 /// Counts `np_air np_low`, including rejected returns, and `nw_deleted`; rejected returns count as
 /// `np_filtered`.
