@@ -409,7 +409,7 @@ fn terrain_is_written_with_standard_deviations() {
     let DecodingResult::F32(values) = decoder.read_chunk(0).unwrap() else { panic!() };
     let mut deviations = Vec::new();
     for (i, cell) in values.chunks_exact(4).enumerate() {
-        let (column, row) = ((i % 256) as f64, (i / 256) as f64);
+        let (column, row) = ((i % columns as usize) as f64, (i / columns as usize) as f64);
         let (x_m, y_m) = (2.0 * column + 1.0, 2.0 * (f64::from(rows) - row) - 1.0);
         if cell[0] > -9000.0 && !is_house(x_m, y_m) {
             let truth_m = 100.0 + 2.0 * (x_m / 17.0).sin() + 0.1 * y_m;
