@@ -234,7 +234,7 @@ fn fewest_points(mean: f64) -> usize {
 }
 
 impl Evidence {
-    /// Whether so many beams pass through the place of an object that it is no solid surface.
+    /// Whether the beams that pass through an object's place show that it is not solid.
     fn is_transparent(&self) -> bool {
         (self.passes + self.partial_hits) * 2 > self.hits
     }

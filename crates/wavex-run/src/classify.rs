@@ -190,7 +190,7 @@ impl<'a> Progress<'a> {
         Progress { phase, n_points, done: AtomicU64::new(0), cancel: &request.cancel }
     }
 
-    /// Shows the progress of one cloud; tells whether to continue.
+    /// Shows the progress of one cloud; returns whether to continue.
     fn of(&self, cloud: &Cloud) -> impl FnMut(f64) -> bool {
         let mut before = 0;
         let name = cloud.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();

@@ -54,7 +54,7 @@ pub(super) struct Chunks {
     started: usize,
     /// Offset of the first chunk in the file.
     start: u64,
-    /// Offset of the chunk table in the file; that of the first chunk if there is none.
+    /// Offset of the chunk table in the file, or of the first chunk if the file has no table.
     table_at: u64,
     /// Offset of the current chunk in the file.
     at: u64,

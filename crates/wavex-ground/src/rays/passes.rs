@@ -23,7 +23,7 @@ pub(super) struct Evidence {
     pub(super) partial_hits: u32,
 }
 
-/// A point that stands for an object.
+/// A representative point of an object.
 struct Place {
     position_m: [f64; 3],
     object: usize,

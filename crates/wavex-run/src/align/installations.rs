@@ -62,7 +62,7 @@ pub(super) fn unconnected_jobs(
     others.into_iter().map(text).collect()
 }
 
-/// Why strips were probably given to the wrong job; `None` for a single job, or if none stands out.
+/// Warning about strips that were probably given to the wrong job; `None` without such strips or other jobs.
 pub(super) fn misplaced(survey: &SurveyStrips, result: &Alignment) -> Option<String> {
     const OFFSETS: [&str; 6] = ["north", "east", "down", "roll", "pitch", "heading"];
     if survey.scanners.len() < 2 || result.verdict == Verdict::Bad {

@@ -10,7 +10,7 @@ use wavex_engine::engine::{self, Input};
 use wavex_line::georef::{Geometry, Loader};
 use wavex_stages::writers::write_patches::{ENDING, PatchesFile, StripName, read_patches, read_strip_name};
 
-/// File with the patches of a strip, or why there is none.
+/// File with the patches of a strip, or the reason that it is missing.
 pub(super) struct FoundStrip {
     /// Name of the strip; that of its file if it cannot be read.
     pub(super) name: String,
