@@ -109,6 +109,8 @@ const MOST_RETURNS: usize = 64;
 const RETURNS_PER_SWEEP: u32 = 20_000;
 /// Most cells in work; more are completed early.
 const MOST_CELLS: usize = 200_000;
+/// Most cells in work for which memory of completed cells is used again: it has room for [`MOST_RETURNS`].
+const MOST_CELLS_WITH_ROOM: usize = 10_000;
 /// Edge of the blocks that are kept or dropped as a whole, in cells.
 pub const BLOCK_CELLS: i64 = 8;
 /// Classes of slope and aspect.
@@ -123,6 +125,8 @@ pub struct PatchMaker {
     cells: HashMap<CellKey, Cell>,
     /// The cell of the latest return, taken out of the others: neighbouring returns are mostly of one cell.
     open: Option<(CellKey, Cell)>,
+    /// Memory of completed cells.
+    emptied: Vec<Vec<CellReturn>>,
     latest_s: f64,
     since_sweep: u32,
     patches: Vec<Kept>,
@@ -213,6 +217,7 @@ impl PatchMaker {
             settings,
             cells: HashMap::new(),
             open: None,
+            emptied: Vec::new(),
             latest_s: f64::NEG_INFINITY,
             since_sweep: 0,
             patches: Vec::new(),
@@ -238,7 +243,10 @@ impl PatchMaker {
         if self.open.as_ref().is_none_or(|(open, _)| *open != key) {
             self.close();
         }
-        let (_, cell) = self.open.get_or_insert_with(|| (key, self.cells.remove(&key).unwrap_or_default()));
+        let (_, cell) = self.open.get_or_insert_with(|| {
+            let new = || Cell { returns: self.emptied.pop().unwrap_or_default(), ..Cell::default() };
+            (key, self.cells.remove(&key).unwrap_or_else(new))
+        });
         if cell.keeps_next() {
             let PatchReturn { beam, source, range_sd_m, .. } = *given;
             let direction = horizon.local_direction(given.direction_in_ecef);
@@ -301,9 +309,15 @@ impl PatchMaker {
     /// Completes cells in the order of their places.
     fn complete_all(&mut self, mut cells: Vec<(CellKey, Cell)>) {
         cells.sort_unstable_by_key(|(key, _)| *key);
-        for (key, cell) in cells {
+        let room = MOST_CELLS_WITH_ROOM.saturating_sub(self.cells.len());
+        for (key, mut cell) in cells {
             self.complete(key, &cell);
+            if self.emptied.len() < room {
+                cell.returns.clear();
+                self.emptied.push(cell.returns);
+            }
         }
+        self.emptied.truncate(room);
     }
 
     fn complete(&mut self, key: CellKey, cell: &Cell) {
