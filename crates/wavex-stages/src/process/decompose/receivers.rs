@@ -98,11 +98,12 @@ impl SharedTables {
         self.0.lock().unpoisoned().has_large_footprints
     }
 
-    /// Returns the tables of this model.
+    /// Returns the tables of this model, or of an equal one: each input may load a model of its own.
     pub(super) fn of(&self, model: &Arc<SensorModel>, mode: Mode) -> Arc<SensorTables> {
         let mut shared = self.0.lock().unpoisoned();
-        let is_theirs =
-            |known: &&(Arc<SensorModel>, Mode, _)| Arc::ptr_eq(&known.0, model) && known.1 == mode;
+        let is_theirs = |known: &&(Arc<SensorModel>, Mode, _)| {
+            known.1 == mode && (Arc::ptr_eq(&known.0, model) || known.0 == *model)
+        };
         if let Some((_, _, tables)) = shared.known.iter().find(is_theirs) {
             return Arc::clone(tables);
         }
@@ -426,4 +427,25 @@ fn echoes(
 
 fn unusable(error: ModelError) -> StageError {
     StageError::failed(error.to_string(), "calibrate on a longer part of the recording")
+}
+
+#[cfg(test)]
+mod tests {
+    use wavex_signal::noise::ArNoise;
+    use wavex_signal::simulated::channel;
+
+    use super::*;
+
+    #[test]
+    fn equal_models_share_their_tables() {
+        let shared = SharedTables::default();
+        let model = |fwhm_samples: f64| {
+            let channel = channel(&ArNoise::new(&[], 0.5).unwrap(), fwhm_samples, 10.0);
+            Arc::new(SensorModel { low_power: Some(channel), ..SensorModel::default() })
+        };
+        let first = shared.of(&model(4.0), Mode::Fastest);
+        assert!(Arc::ptr_eq(&first, &shared.of(&model(4.0), Mode::Fastest)));
+        assert!(!Arc::ptr_eq(&first, &shared.of(&model(4.0), Mode::Refined)));
+        assert!(!Arc::ptr_eq(&first, &shared.of(&model(5.0), Mode::Fastest)));
+    }
 }
