@@ -467,7 +467,13 @@ pub(super) struct ClassifyArgs {
     /// Terrain model of all clouds to write: heights with standard deviations
     #[arg(long, value_name = "FILE.tif")]
     pub(super) dem: Option<PathBuf>,
-    /// Edge of the cells of the terrain model, m
+    /// Surface model to write: highest first return of each cell, which is neither noise nor withheld
+    #[arg(long, value_name = "FILE.tif", requires = "dem")]
+    pub(super) surface: Option<PathBuf>,
+    /// Canopy heights to write: surface minus terrain
+    #[arg(long, value_name = "FILE.tif", requires = "dem")]
+    pub(super) canopy: Option<PathBuf>,
+    /// Edge of the cells of all models, m
     #[arg(long, value_name = "M", default_value_t = 1.0, requires = "dem", value_parser = cell_m)]
     pub(super) cell: f64,
     /// Memory limit of the points that are classified at once, MB; a tile of dense points needs about 1200

@@ -18,7 +18,7 @@ const SHOT_BYTES: f64 = 180.0;
 /// Longest shots that are estimated, in usual ones: the costs are measured with shots of up to 1.5.
 const LONGEST: f64 = 3.0;
 /// Time of a stage per shot on one core, µs.
-const STAGES_US: [(&str, f64); 17] = [
+const STAGES_US: [(&str, f64); 18] = [
     ("read_las", 2.0),
     ("read_pulsewaves", 0.4),
     ("read_sdf", 1.0),
@@ -33,6 +33,7 @@ const STAGES_US: [(&str, f64); 17] = [
     ("write_ascii", 2.0),
     ("write_trajectory", 0.1),
     ("write_patches", 0.4),
+    ("write_dem", 15.0),
     ("write_lstat", 0.1),
     ("write_table", 1.0),
     ("write_arrow", 1.5),
@@ -41,7 +42,7 @@ const STAGES_US: [(&str, f64); 17] = [
 const MODES_US: [(&str, f64); 4] =
     [("fastest", 2.3), ("fast_separated", 3.0), ("refined", 5.0), ("slow", 100.0)];
 /// Stages that use several cores.
-const PARALLEL: [&str; 5] = ["decompose", "correct", "georeference", "write_las", "simulate"];
+const PARALLEL: [&str; 6] = ["decompose", "correct", "georeference", "write_las", "write_dem", "simulate"];
 
 /// Inputs of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]

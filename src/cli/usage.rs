@@ -68,7 +68,8 @@ Examples:
   wavex classify strip04.laz -o classified.laz
   wavex classify strips -o classified --report classified.json
   wavex classify 'strips/*.laz' -o classified --keep 6,9,17
-  wavex classify strips -o classified --dem terrain.tif --cell 0.5";
+  wavex classify strips -o classified --dem terrain.tif --cell 0.5
+  wavex classify strips -o classified --dem terrain.tif --surface surface.tif --canopy canopy.tif";
 
 pub(super) const CALIBRATE: &str = "\
 Examples:

@@ -368,8 +368,23 @@ fn strips_are_classified_by_the_commands_of_the_how_to() {
         .filter_map(|line| line.strip_prefix("wavex "))
         .map(|command| command.replace('\'', ""))
         .collect();
-    assert_eq!(commands.len(), 6, "{commands:?}");
+    assert_eq!(commands.len(), 10, "{commands:?}");
     let place = TestFolder::new();
+    let job = page.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
+    // Fewer waveforms suffice here.
+    let job = job.replace("\"calibrate\"", "\"calibrate\"\nwaveforms = 300");
+    place.write("night.toml", job.as_bytes());
+    for (seed, offset) in [(1, "0.0"), (2, "40.0")] {
+        let flight = format!(
+            "[job]\noutput_dir = 'night'\nreport = ''\nlog = ''\nstat_log = ''\n[[stage]]\ntype = 'simulate'\nstem = 'strip{seed}'\n\
+             seed = {seed}\nscene_seed = 1\nlandscape = 'country'\nwater_ratio = 0.0\nwire_height_m = 0.0\nlines = 60\n\
+             shots_per_line = 150\nflying_height_m = 100.0\nspeed_mps = 240.0\ntrack_offset_m = [{offset}, 0.0]\n\
+             start_time_s = {}.0\nsbet = '*.out'\n[[stage]]\ntype = 'write_arrow'\npath = '*.arrow'\n",
+            208_800 + 100 * seed
+        );
+        place.write("make.toml", flight.as_bytes());
+        succeeds(&place, &["run", "make.toml"]);
+    }
     let cloud = Scene { epsg: Some(32633), version: (1, 2), format: 1, ..SCENE };
     for (name, seed) in [("strips/strip1.laz", 1), ("strips/strip2.laz", 2)] {
         place.write(name, &scene(&Scene { seed, ..cloud }));
@@ -422,16 +437,135 @@ fn terrain_is_written_with_standard_deviations() {
     assert!(deviations.len() > 800 && rms < 1.5, "{rms} of {}", deviations.len());
 }
 
+/// Kept classes belong to the models: ground to the terrain, buildings to the surface.
+#[test]
+fn surface_and_canopy_have_kept_buildings() {
+    let place = TestFolder::new();
+    let change = |k: usize, point: &mut Point| {
+        let (x_m, y_m) = (point.x - CORNER_M[0], point.y - CORNER_M[1]);
+        let class = if is_house(x_m, y_m) { 6 } else { 2 };
+        point.classification = Classification::new(class).unwrap();
+        point.is_withheld = k.is_multiple_of(100);
+        if k.is_multiple_of(100) {
+            point.z += 50.0;
+        }
+    };
+    place.write("a.laz", &scene(&Scene { change, epsg: Some(25833), ..SCENE }));
+    let words = "classify a.laz -o b.laz --keep 2,6 --dem t.tif --surface s.tif --canopy c.tif --cell 2";
+    succeeds(&place, &words.split(' ').collect::<Vec<_>>());
+    let read = |name: &str| {
+        let mut decoder = Decoder::new(Cursor::new(bytes(&place, name))).unwrap();
+        let DecodingResult::F32(values) = decoder.read_chunk(0).unwrap() else { panic!() };
+        (decoder.dimensions().unwrap(), values)
+    };
+    let ((columns, rows), terrain) = read("t.tif");
+    let (surface, canopy) = (read("s.tif"), read("c.tif"));
+    assert_eq!([surface.0, canopy.0], [(columns, rows); 2]);
+    let (mut of_house, mut others) = (0, 0);
+    for i in 0..(columns * rows) as usize {
+        let (x_m, y_m) =
+            (2.0 * (i as u32 % columns) as f64 + 1.0, 2.0 * (rows - i as u32 / columns) as f64 - 1.0);
+        let (height, top, above) = (terrain[4 * i], surface.1[i], canopy.1[i]);
+        if height < -9000.0 || top < -9000.0 {
+            continue;
+        }
+        assert!((above - (top - height)).abs() < 1e-3);
+        if (21.0..31.0).contains(&x_m) && (26.0..34.0).contains(&y_m) {
+            assert!((above - 7.0).abs() < 1.0, "{x_m} {y_m}: {above}");
+            of_house += 1;
+        } else if !(18.0..34.0).contains(&x_m) || !(23.0..37.0).contains(&y_m) {
+            assert!(above.abs() < 0.6, "{x_m} {y_m}: {above}");
+            others += 1;
+        }
+    }
+    assert!(of_house == 20 && others > 600, "{of_house} {others}");
+}
+
+/// SDs of the points reach the model: the error that strips share is that of the total uncertainty.
+#[test]
+fn total_uncertainties_of_clouds_are_used() {
+    let place = TestFolder::new();
+    let descriptor = |name: &str| {
+        let mut bytes = vec![0; 192];
+        bytes[2] = 9;
+        bytes[4..4 + name.len()].copy_from_slice(name.as_bytes());
+        bytes
+    };
+    let write = |file: &str, name: &str| {
+        let change = |_: usize, point: &mut Point| point.extra_bytes = 0.2f32.to_le_bytes().to_vec();
+        let cloud = Scene { change, epsg: Some(25833), ..SCENE };
+        let mut header = Builder::from((1, 4));
+        header.point_format = Format::new(6).unwrap();
+        header.point_format.extra_bytes = 4;
+        header.point_format.is_compressed = true;
+        let axis = |offset| Transform { scale: 0.01, offset };
+        header.transforms = Vector { x: axis(4e5), y: axis(5.8e6), z: axis(0.0) };
+        header.vlrs.push(Vlr {
+            user_id: "LASF_Spec".into(),
+            record_id: 4,
+            description: String::new(),
+            data: descriptor(name),
+        });
+        let mut writer = Writer::new(Cursor::new(Vec::new()), header.into_header().unwrap()).unwrap();
+        points(&cloud).0.into_iter().for_each(|point| writer.write_point(point).unwrap());
+        place.write(file, &writer.into_inner().unwrap().into_inner());
+    };
+    write("total.laz", "Total uncertainty");
+    write("range.laz", "Range SD");
+    let median = |file: &str| {
+        let outcome = succeeds(&place, &["classify", file, "-o", "out.laz", "--dem", "t.tif", "--cell", "2"]);
+        let text = outcome.out.split("SD of heights ").nth(1).unwrap();
+        (text.split(' ').next().unwrap().parse::<f64>().unwrap(), outcome.err)
+    };
+    let (sd_cm, err) = median("total.laz");
+    assert!((19.0..23.0).contains(&sd_cm) && !err.contains("assumed to be 5 cm"), "{sd_cm}: {err}");
+    // The SD of ranges is no error of the strip.
+    let (sd_cm, err) = median("range.laz");
+    assert!((4.0..7.0).contains(&sd_cm) && err.contains("assumed to be 5 cm"), "{sd_cm}: {err}");
+}
+
 #[test]
 fn terrain_without_ground_is_refused() {
     let place = TestFolder::new();
     place.write("a.laz", &file(&SCENE, Vec::new()));
     let message = fails(&place, 1, &["classify", "a.laz", "-o", "b.laz", "--dem", "a.tif"]);
+    assert!(message.contains("a.tif: no terrain model is written: there are no ground points"), "{message}");
+    assert!(!place.path("a.tif").exists());
+    let no_ground = |cloud: Scene, n: usize| {
+        place.write("c.laz", &file(&cloud, points(&cloud).0.into_iter().take(n).collect()));
+        fails(&place, 1, &["classify", "c.laz", "-o", "b.laz", "--dem", "c.tif"])
+    };
+    let expected =
+        "c.tif: no terrain model is written: there are no ground points; check the classes of the points";
+    let withheld = Scene { change: |_, point| point.is_withheld = true, ..SCENE };
+    let absurd = Scene { change: |_, point| point.z = 1e6, ..SCENE };
+    for message in [no_ground(withheld, 500), no_ground(absurd, 500)] {
+        assert!(message.contains(expected), "{message}");
+    }
+    let degrees = Scene { epsg: Some(4326), version: (1, 2), format: 1, ..SCENE };
+    let message = no_ground(degrees, 500);
+    assert!(message.contains("c.laz: its coordinates are degrees; project the clouds"), "{message}");
+    assert!(!place.path("c.tif").exists());
+    // A far point of the ground would need too large a raster.
+    let change = |k: usize, point: &mut Point| {
+        point.classification = Classification::Ground;
+        let away_m = if k == 0 { 1e6 } else { 0.0 };
+        (point.x, point.y) = (point.x + away_m, point.y + away_m);
+    };
+    let far = Scene { change, ..SCENE };
+    place.write("d.laz", &file(&far, points(&far).0));
+    let words = "classify d.laz -o b.laz --keep 2 --dem d.tif --surface e.tif --cell 0.05";
+    let message = fails(&place, 1, &words.split(' ').collect::<Vec<_>>());
     assert!(
-        message.contains("a.tif: no terrain model is written: the clouds have no ground points"),
+        message.contains("cells are too many; set a larger `--cell`, or leave out points far away"),
         "{message}"
     );
-    assert!(!place.path("a.tif").exists());
+    assert!(!place.path("d.tif").exists() && !place.path("e.tif").exists());
+    let words = "classify a.laz -o b.laz --dem same.tif --canopy same.tif";
+    let message = fails(&place, 2, &words.split(' ').collect::<Vec<_>>());
+    assert!(message.contains("same.tif: two models would have this name; give each its own"), "{message}");
+    let message = fails(&place, 2, &["classify", "a.laz", "-o", "b.laz", "--surface", "s.tif"]);
+    assert!(message.contains("--dem"), "{message}");
     let message = fails(&place, 2, &["classify", "a.laz", "-o", "b.laz", "--dem", "a.png"]);
     assert!(message.contains("a.png: the terrain model is a GeoTIFF; give a name with .tif"), "{message}");
 }

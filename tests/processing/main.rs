@@ -22,3 +22,4 @@ mod mta;
 mod online;
 mod outliers;
 mod scenes;
+mod write_dem;

@@ -170,6 +170,16 @@ def check_slurm_align(survey, checks):
         checks.that(f"bytes of {name}", found == expected, survey.log()[-2000:])
 
 
+def check_slurm_ground(survey, checks):
+    """One job classifies the points of all tasks: the bytes of `wavex classify` with other threads."""
+    checks.subject = "Slurm, ground"
+    checks.equal("exit status", survey.run("ground"), [0])
+    survey.wavex("classify", "out", "-o", "expected_ground", "--dem", "expected_ground/terrain.tif", "--threads", "2")
+    for name in ["a.laz", "b.laz", "c.laz", "terrain.tif"]:
+        found, expected = [survey.folder / folder / name for folder in ["classified", "expected_ground"]]
+        checks.that(f"bytes of {name}", found.exists() and found.read_bytes() == expected.read_bytes())
+
+
 def main(wavex):
     checks = Checks()
     with tempfile.TemporaryDirectory() as folder:
@@ -191,6 +201,7 @@ def main(wavex):
                 check_slurm_restart(by_input, checks, slurm)
                 check_array(survey, checks, expected)
                 check_slurm_align(aligned, checks)
+                check_slurm_ground(aligned, checks)
         if checks.failed:
             print(survey.log()[-5000:], by_input.log()[-5000:], aligned.log()[-5000:], sep="\n")
     return checks.end()

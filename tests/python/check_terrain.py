@@ -5,7 +5,7 @@ scan lines of overlapping strips with height errors; in the forest, some hit the
 classification took for ground. The program models the terrain, and the errors at the centres of cells, divided by their
 standard deviations, must have an SD between 0.9 and 1.1 by land cover and by distance to the nearest point.
 
-usage: check_terrain.py PROGRAM [--quick] [--worlds N] [--cell M] [--classify]
+usage: check_terrain.py PROGRAM [--quick] [--worlds N] [--first SEED] [--cell M] [--classify]
 
 PROGRAM is the example `terrain_cells` of the crate wavex-ground
 (`cargo build -p wavex-ground --release --example terrain_cells`). Needs numpy, and scipy for the comparison with
@@ -73,12 +73,13 @@ class World:
         forest = sum(h * (1 - np.abs(2 * field.at(x, y) - 1)) for field, h in self.ridged)
         open_land = sum(h * field.at(x, y) for field, h in self.meadow)
         z = z + (weights[1] * forest + weights[0] * open_land) / total
-        # Terraces of 0.8 m on the open land, with banks 1 m wide.
+        # Terraces of 0.8 m on the open land, with banks 1 m wide, which end before the forest.
         step = y / 33 + 0.3 * np.sin(x / 20)
-        z = z + np.where(cover == 0, 0.8 * (np.floor(step) + np.clip((step % 1) * 33, 0, 1)), 0.8 * step)
+        terraced = np.clip((self.width_m - 10 - x) / 10, 0, 1)
+        z = z + 0.8 * (terraced * (np.floor(step) + np.clip((step % 1) * 33, 0, 1)) + (1 - terraced) * step)
         for y0, slope, depth in self.ditches:
             away = np.abs(y - y0 - slope * x)
-            z = z - np.where(cover < 2, depth * np.clip(1.5 - away, 0, 1), 0)
+            z = z - depth * np.clip(1.5 - away, 0, 1) * np.clip((2 * self.width_m - x) / 10, 0, 1)
         # Kerbs of streets in the town.
         street = np.minimum(np.abs((x % 45) - 22), np.abs((y % 60) - 30))
         return z - np.where((cover == 2) & (street < 3), 0.12, 0)
@@ -105,8 +106,10 @@ class World:
             inside = (x > 0) & (x < 3 * self.width_m) & (y > 0) & (y < self.length_m)
             x, y = x[inside], y[inside]
             cover = self.cover(x)
-            # Forest: the canopy passes 5 to 60 % of the shots. Town: nothing under houses.
-            share = np.where(cover == 1, 0.05 + 0.55 * self.density.at(x, y) ** 2, 1.0)
+            # Forest: the canopy passes 10 to 60 % of the shots, and nothing where it is dense. Town: nothing under houses.
+            density = self.density.at(x, y)
+            share = np.where(density < 0.3, 0, 0.05 + 0.55 * density**2)
+            share = np.where(cover == 1, share, 1.0)
             kept = (random.random(len(x)) < share) & ~((cover == 2) & self.is_built(x, y))
             x, y, cover = x[kept], y[kept], cover[kept]
             sd = np.where(cover == 1, 0.035, 0.02)
@@ -215,11 +218,12 @@ def main():
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--classify", action="store_true")
     parser.add_argument("--worlds", type=int, default=6)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first world; the others follow")
     parser.add_argument("--cell", type=float, default=1.0)
     arguments = parser.parse_args()
     size = (60, 80) if arguments.quick else (120, 240)
     rows = []
-    for seed in range(1 if arguments.quick else arguments.worlds):
+    for seed in range(arguments.first, arguments.first + (1 if arguments.quick else arguments.worlds)):
         world = World(seed, *size)
         points = world.points(known_sd=seed % 2 == 0)
         with tempfile.TemporaryDirectory() as folder:
@@ -227,7 +231,7 @@ def main():
                 cells = classified(arguments.program, world, points, arguments.cell, folder)
             else:
                 cells = modelled(arguments.program, points, arguments.cell, folder)
-        tin = linear(points, cells) if seed == 0 else None
+        tin = linear(points, cells)
         truth = world.height(cells[:, 0], cells[:, 1])
         tin_error = np.full(len(cells), np.nan) if tin is None else tin - truth
         rows.append(np.column_stack([world.cover(cells[:, 0]), cells[:, 5], cells[:, 2] - truth, cells[:, 3], tin_error]))

@@ -106,6 +106,9 @@ mode = "fastest"
 type = "georeference"
 [[stage]]
 type = "write_patches"
+[[stage]]
+type = "write_las"
+path = "*.laz"
 """
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "how-to" / "cluster.md"

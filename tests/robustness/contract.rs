@@ -60,6 +60,8 @@ fn every_quantity_carries_its_unit_in_its_name() {
 
 /// Text keys that do not name a file.
 const NAMES: [&str; 4] = ["stem", "gps_date", "columns", "project_id"];
+/// Keys without a default that name rasters.
+const RASTERS: [&str; 2] = ["surface", "canopy"];
 
 /// Archives and locks learn about files from the stage's own declarations.
 #[test]
@@ -73,6 +75,7 @@ fn every_key_that_names_a_file_is_an_input_or_an_output() {
     // Same extension as the default, if any: some stages require a certain extension.
     let file = |key: &Key| match key.default().and_then(serde_json::Value::as_str) {
         Some(pattern) if pattern.contains('.') => pattern.replace('*', key.name),
+        _ if RASTERS.contains(&key.name) => format!("{}.tif", key.name),
         // None, or a word such as "auto".
         _ => format!("{}.csv", key.name),
     };

@@ -11,7 +11,7 @@ use std::fmt::Write;
 use std::time::Instant;
 
 use wavex_ground::point::CloudPoint;
-use wavex_ground::terrain::{CellRange, TerrainOptions, learn_terrain, terrain_of_tile};
+use wavex_ground::terrain::{CellRange, PointSds, TerrainOptions, learn_terrain, terrain_of_tile};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = TerrainOptions::default();
     let start = Instant::now();
     let samples = [points];
-    let model = learn_terrain(&samples, strip_sd_m, options.widest_gap_m);
+    let model = learn_terrain(&samples, strip_sd_m, PointSds::Total, options.widest_gap_m);
     let [points] = samples;
     println!("{model}, learnt in {:.1} s", start.elapsed().as_secs_f64());
     let start = Instant::now();

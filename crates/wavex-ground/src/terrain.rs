@@ -23,7 +23,7 @@ pub use kriging::Smoothness;
 use kriging::Target;
 use learn::PER_OCTANT;
 pub use learn::learn_terrain;
-pub use model::{Assumption, TerrainModel};
+pub use model::{Assumption, PointSds, TerrainModel};
 use model::{NODE_M, NODE_REACH_M, Scratch, data_of};
 use neighbours::PointIndex;
 

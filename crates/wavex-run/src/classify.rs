@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use wavex_engine::engine::{Cancel, Phase, ProgressMode};
 use wavex_formats::las::ClassifiedCopy;
 use wavex_ground::point::CloudPoint;
+use wavex_ground::terrain::PointSds;
 use wavex_line::stage::{FinishedFile, OutputLock, Outputs};
 
 use crate::Failure;
@@ -19,14 +20,13 @@ use files::{ClassCounts, Cloud, LeftAlone, WriteFailure};
 use tiles::{Ground, Tiles};
 
 mod files;
-mod spool;
 mod terrain;
 mod text;
 mod tiles;
 
 pub use terrain::{TerrainRequest, WrittenTerrain, write_terrain};
-pub use tiles::Tile;
-pub use wavex_ground::filter::{GroundSettings, TILE_M};
+pub use wavex_ground::filter::GroundSettings;
+pub use wavex_stages::terrain::Square;
 
 const INTERRUPTED: &str = "interrupted";
 
@@ -41,6 +41,8 @@ pub struct ClassifyRequest<'a> {
     pub kept_classes: &'a [u8],
     /// Settings of the ground classification.
     pub settings: GroundSettings,
+    /// Edge of the cells of a surface model, m, if one is written later.
+    pub surface_cell_m: Option<f64>,
     /// Memory for the points of tiles that are classified at once, MB; one tile at least.
     pub memory_mb: u64,
     /// Number of threads; 0: one per core.
@@ -67,9 +69,10 @@ pub struct ClassifiedClouds {
     pub ground: GroundTiles,
 }
 
-/// Ground points of classified clouds by tiles of [`TILE_M`], in a temporary file that ends with this.
+/// Ground points of classified clouds, in temporary files that end with this.
 pub struct GroundTiles {
     ground: Ground,
+    sds: PointSds,
     /// Coordinate reference system of the clouds; `None` if no file has one.
     pub wkt: Option<String>,
     /// Lengths of the units of x and y, and of z in this system, m.
@@ -77,22 +80,20 @@ pub struct GroundTiles {
 }
 
 impl GroundTiles {
-    /// East and north indices of all tiles with ground points, in ascending order.
-    ///
-    /// Tile `[i, j]` has the points from `i * TILE_M` to below `(i + 1) * TILE_M` in the east, and so on in the north, m.
-    pub fn tiles(&self) -> Vec<Tile> {
-        self.ground.tiles()
+    /// Squares of [`SQUARE_M`](wavex_stages::terrain::SQUARE_M) with ground points, in ascending order.
+    pub fn squares(&self) -> Vec<Square> {
+        self.ground.points.squares()
     }
 
-    /// Ground points of a tile, and of its neighbours within `margin_m`.
+    /// Ground points from `low` to `high`, m.
     ///
     /// Positions are coordinates of the clouds times [`GroundTiles::units_m`]. The strip of a point is its point source ID. The
     /// order does not depend on threads or on the order of the files.
     ///
     /// # Errors
     /// The temporary file cannot be read.
-    pub fn points(&self, tile: Tile, margin_m: f64) -> Result<Vec<CloudPoint>, Failure> {
-        self.ground.points(tile, margin_m).map_err(|error| Failure::Run(no_room(&error)))
+    pub fn points(&self, low: [f64; 2], high: [f64; 2]) -> Result<Vec<CloudPoint>, Failure> {
+        self.ground.points.within(low, high).map_err(|error| Failure::Run(no_room(&error)))
     }
 }
 
@@ -215,7 +216,8 @@ fn classify(
     let folder =
         clouds.first().and_then(|cloud| cloud.output.parent()).filter(|folder| *folder != Path::new(""));
     let folder = folder.unwrap_or(Path::new("."));
-    let tiles = Tiles::new(folder, request.kept_classes).map_err(|error| Failure::Run(no_room(&error)))?;
+    let tiles = Tiles::new(folder, request.kept_classes, request.surface_cell_m)
+        .map_err(|error| Failure::Run(no_room(&error)))?;
     let progress = Progress::new("reading", request, &clouds);
     let spooled: Vec<_> = clouds
         .par_iter()
@@ -307,7 +309,14 @@ fn open(files: Vec<(PathBuf, PathBuf)>, failures: &mut Vec<String>) -> Result<Ve
         return Err(none_usable(failures));
     }
     clouds.sort_by_cached_key(Cloud::rank);
+    let sds = sds_of(&clouds);
+    clouds.iter_mut().for_each(|cloud| cloud.use_sds(sds));
     Ok(clouds)
+}
+
+/// What the SDs of all clouds include: everything only if all clouds have total uncertainties.
+fn sds_of(clouds: &[Cloud]) -> PointSds {
+    if clouds.iter().all(Cloud::has_total_sds) { PointSds::Total } else { PointSds::Own }
 }
 
 fn none_usable(failures: &[String]) -> Failure {
@@ -388,6 +397,6 @@ fn finish(
         let plural = if n == 1 { "cloud was" } else { "clouds were" };
         Failure::Run(format!("{n} {plural} left out:\n  {}", failures.join("\n  ")))
     });
-    let ground = GroundTiles { ground, wkt, units_m };
+    let ground = GroundTiles { ground, sds: sds_of(clouds), wkt, units_m };
     Ok(ClassifiedClouds { text: text::table(&rows), warnings, written, failure, ground })
 }

@@ -1,7 +1,7 @@
 //! The stages of a job: readers, processing, writers.
 //!
 //! A file of [`readers`], [`process`] and [`writers`] is a stage; [`registry`] lists them. `reading` is what readers
-//! share.
+//! share; [`terrain`] makes rasters of points.
 
 pub mod checks;
 mod container_info;
@@ -11,4 +11,5 @@ pub mod reading;
 pub mod registry;
 pub mod returns_file;
 pub mod stac;
+pub mod terrain;
 pub mod writers;

@@ -6,8 +6,8 @@ use crate::process::{
 };
 use crate::readers::{read_arrow, read_hdf5, read_las, read_pulsewaves, read_returns, read_sdf, simulate};
 use crate::writers::{
-    write_arrow, write_ascii, write_footprints, write_las, write_lstat, write_patches, write_returns,
-    write_table, write_trajectory,
+    write_arrow, write_ascii, write_dem, write_footprints, write_las, write_lstat, write_patches,
+    write_returns, write_table, write_trajectory,
 };
 use wavex_line::stage::{StageSpec, find_in};
 
@@ -36,6 +36,7 @@ pub const STAGES: &[&StageSpec] = &[
     &write_table::STAGE,
     &write_footprints::STAGE,
     &write_patches::STAGE,
+    &write_dem::STAGE,
     &write_arrow::STAGE,
     &write_returns::STAGE,
 ];

@@ -3,6 +3,7 @@
 pub mod table;
 pub mod write_arrow;
 pub mod write_ascii;
+pub mod write_dem;
 pub mod write_footprints;
 pub mod write_las;
 pub mod write_lstat;

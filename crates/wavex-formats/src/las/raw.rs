@@ -84,6 +84,11 @@ impl RawPoints {
         &self.extra_bytes
     }
 
+    /// Offset of the extra bytes in a point record.
+    pub fn extra_start(&self) -> usize {
+        PointLayout::of(self.header().point_format).length
+    }
+
     /// Returns the fields of a point record.
     ///
     /// Undocumented bytes are omitted.

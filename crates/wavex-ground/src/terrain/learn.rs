@@ -5,8 +5,8 @@ use wavex_simd::statistics::median;
 
 use super::kriging::{Parts, Smoothness, Target};
 use super::model::{
-    Assumption, CLASSES, DISTANCES_M, NODE_M, NODE_POINTS, NOISE_STEPS, Scratch, TERRAIN_STEPS, TerrainModel,
-    data_of, keep_frequent_strips, posterior, steps,
+    Assumption, CLASSES, DISTANCES_M, NODE_M, NODE_POINTS, NOISE_STEPS, PointSds, Scratch, TERRAIN_STEPS,
+    TerrainModel, data_of, keep_frequent_strips, posterior, steps,
 };
 use super::neighbours::PointIndex;
 use crate::point::CloudPoint;
@@ -35,6 +35,8 @@ const WRONG: [f64; 2] = [-4.5, 2.5];
 const MOST_DEVIATION: f64 = 4.0;
 /// Assumed SD of the height error of a strip, m.
 const ASSUMED_STRIP_M: f64 = 0.05;
+/// Typical SD of the height errors of strips, m, with the weight of two strips in the estimate from overlaps.
+const TYPICAL_STRIP_M: f64 = 0.02;
 /// Fewest points of each of two strips for their difference.
 const STRIP_POINTS: usize = 6;
 
@@ -51,9 +53,14 @@ struct LeftOut {
 
 /// Learns the model from samples: connected sets of ground points in any order.
 ///
-/// `strip_sd_m` is the SD of the height error that the points of a strip share, if known. `most_m` limits
-/// the search for neighbours.
-pub fn learn_terrain(samples: &[Vec<CloudPoint>], strip_sd_m: Option<f64>, most_m: f64) -> TerrainModel {
+/// `strip_sd_m` is the SD of the height error that the points of a strip share, if known; `sds` is what the SDs of the
+/// points include. `most_m` limits the search for neighbours.
+pub fn learn_terrain(
+    samples: &[Vec<CloudPoint>],
+    strip_sd_m: Option<f64>,
+    sds: PointSds,
+    most_m: f64,
+) -> TerrainModel {
     let indices: Vec<PointIndex> = samples.par_iter().map(|points| PointIndex::new(points)).collect();
     let n: usize = indices.iter().map(|index| index.points().len()).sum();
     let known = || {
@@ -103,7 +110,7 @@ pub fn learn_terrain(samples: &[Vec<CloudPoint>], strip_sd_m: Option<f64>, most_
     model.strip_sd_m = match strip_sd_m {
         Some(sd) => sd,
         None => strip_error(&model, &indices, &nodes).unwrap_or_else(|| {
-            if typical_sd_m.is_finite() {
+            if sds == PointSds::Total && typical_sd_m.is_finite() {
                 (typical_sd_m * typical_sd_m - noise).max(0.0).sqrt()
             } else {
                 model.assumptions.push(Assumption::StripError);
@@ -226,8 +233,17 @@ fn strip_error(model: &TerrainModel, indices: &[PointIndex], nodes: &[(usize, [f
             (n >= 3).then(|| sum / weight)
         })
         .collect();
-    let mean = squares.iter().sum::<f64>() / squares.len() as f64;
-    (!squares.is_empty()).then(|| (0.5 * mean).max(0.0).sqrt())
+    if squares.is_empty() {
+        return None;
+    }
+    let mut strips: Vec<u16> = pairs.iter().flat_map(|pair| [pair.0, pair.1]).collect();
+    strips.sort_unstable();
+    strips.dedup();
+    let variance = (0.5 * squares.iter().sum::<f64>() / squares.len() as f64).max(0.0);
+    // Mean of the inverse gamma distribution with these degrees of freedom and those of the prior: a few strips that agree by
+    // chance do not prove that their errors are small.
+    let freedom = (strips.len() - 1) as f64;
+    Some((variance + 2.0 * TYPICAL_STRIP_M * TYPICAL_STRIP_M / freedom).sqrt())
 }
 
 /// Predicts points from others, with holes of several sizes around them.

@@ -26,12 +26,21 @@ pub(crate) const DISTANCES_M: [f64; 7] = [0.35, 0.7, 1.4, 2.8, 5.6, 11.2, 22.4];
 /// Number of classes of distance.
 pub(crate) const CLASSES: usize = DISTANCES_M.len() + 1;
 
+/// What the SDs of points include.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PointSds {
+    /// Everything, with the error that the points of a strip share.
+    Total,
+    /// Only what is independent from point to point, such as the noise of ranges.
+    Own,
+}
+
 /// What was assumed because the data did not determine it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Assumption {
     /// Too few ground points to learn roughness and noise.
     Roughness,
-    /// No overlapping strips and no SDs of the points: the error of a strip is assumed.
+    /// No overlapping strips and no total SDs of the points: the error of a strip is assumed.
     StripError,
     /// Too few points to verify the SDs by points left out.
     Gaps,
@@ -45,7 +54,7 @@ impl std::fmt::Display for Assumption {
             }
             Assumption::StripError => {
                 "the height error that all points of a strip share is assumed to be 5 cm: no strips overlap, and \
-                 points have no standard deviations"
+                 points have no total uncertainty"
             }
             Assumption::Gaps => {
                 "too few ground points to verify standard deviations by points left out: they are doubled in gaps"

@@ -5,8 +5,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use las::{PointData, PointDataBuilder, Reader};
-use wavex_formats::las::{ClassifiedCopy, LasHeader, RawPoints, indexes_beside, write_classified};
+use wavex_formats::las::{
+    ClassifiedCopy, ExtraBytes, LasHeader, RawPoints, indexes_beside, write_classified,
+};
 use wavex_ground::point::{Class, CloudPoint};
+use wavex_ground::terrain::PointSds;
 use wavex_line::stage::{FinishedFile, OutputFile};
 
 use super::tiles::{ClassBlock, Ground, TilePoint, Tiles};
@@ -21,6 +24,10 @@ pub(super) const NOISE: [u8; 2] = [Class::LowNoise as u8, Class::HighNoise as u8
 /// Class of overlapping points in formats 0 to 5; formats 6 to 10 have a flag for them.
 const OVERLAP: u8 = 12;
 
+/// Attributes of `write_las`, m.
+const TOTAL_SD: &str = "Total uncertainty";
+const RANGE_SD: &str = "Range SD";
+
 /// Number of points by class.
 pub(super) type ClassCounts = [u64; 256];
 
@@ -34,6 +41,11 @@ pub(super) struct Cloud {
     pub(super) units_m: [f64; 2],
     /// What a user should know.
     pub(super) notes: Vec<String>,
+    /// Attributes of the points, and which of them is the SD of their heights, m.
+    attributes: Vec<ExtraBytes>,
+    sd: Option<ExtraBytes>,
+    /// Offset of the attributes in a record.
+    attributes_at: usize,
 }
 
 /// Points of a cloud that keep their class, and why.
@@ -66,8 +78,35 @@ impl Cloud {
         let system = system_of(path, crs.wkt.as_deref(), &header)?;
         let problems = crs.problems.iter().map(|problem| format!("{}: {problem}", path.display()));
         let notes = problems.chain(system.note).collect();
-        let path = path.to_path_buf();
-        Ok(Cloud { path, output, header, wkt: crs.wkt, units_m: system.units_m, notes })
+        Ok(Cloud {
+            path: path.to_path_buf(),
+            output,
+            header,
+            wkt: crs.wkt,
+            units_m: system.units_m,
+            notes,
+            attributes: points.extra_bytes_descriptors().to_vec(),
+            sd: None,
+            attributes_at: points.extra_start(),
+        })
+    }
+
+    fn attribute(&self, name: &str) -> Option<&ExtraBytes> {
+        self.attributes.iter().find(|attribute| attribute.name == name)
+    }
+
+    /// Whether its points have the attribute `Total uncertainty` of `write_las`.
+    pub(super) fn has_total_sds(&self) -> bool {
+        self.attribute(TOTAL_SD).is_some()
+    }
+
+    /// Uses total uncertainties, or SDs of ranges, as SDs of the points.
+    pub(super) fn use_sds(&mut self, sds: PointSds) {
+        let name = match sds {
+            PointSds::Total => TOTAL_SD,
+            PointSds::Own => RANGE_SD,
+        };
+        self.sd = self.attribute(name).cloned();
     }
 
     /// Checks that the coordinate reference system is that of `first`.
@@ -125,9 +164,14 @@ impl Cloud {
             for (point, index) in self.points(&data).zip(first..) {
                 let class = point.class;
                 counts.0[usize::from(class)] += 1;
-                if let Some(tile_point) = self.use_of(point, tiles.kept_classes, &mut counts.1) {
-                    writer.push((number, index), &tile_point).map_err(|error| super::no_room(&error))?;
-                }
+                let is_of_surface = tiles.surface_cell_m.is_some() && point.may_be_surface();
+                let position_m = point.position_m;
+                let pushed = match self.use_of(point, tiles.kept_classes, &mut counts.1) {
+                    Some(tile_point) => writer.push((number, index), &tile_point),
+                    None if is_of_surface => writer.push_kept(number, position_m),
+                    None => Ok(()),
+                };
+                pushed.map_err(|error| super::no_room(&error))?;
             }
             first += n;
         }
@@ -143,15 +187,21 @@ impl Cloud {
         let returns = data.return_number().zip(data.number_of_returns());
         // Bits of synthetic and withheld points.
         let bits = if is_legacy { 0b1010_0000 } else { 0b101 };
-        let flags =
-            data.raw_bytes().chunks_exact(data.record_len()).map(move |record| record[15] & bits != 0);
-        let fields = data.classification().zip(returns).zip(data.point_source_id()).zip(flags);
-        places.zip(fields).map(move |(((x, y), z), (((class, returns), source), is_withheld))| ReadPoint {
-            position_m: [x * plane_m, y * plane_m, z * height_m],
-            class,
-            returns,
-            source,
-            is_withheld,
+        let of_records = data.raw_bytes().chunks_exact(data.record_len()).map(move |record| {
+            let attributes = record.get(self.attributes_at..).unwrap_or_default();
+            let sd_m = self.sd.as_ref().map_or(f64::NAN, |sd| sd.value(attributes));
+            (record[15] & bits != 0, sd_m as f32)
+        });
+        let fields = data.classification().zip(returns).zip(data.point_source_id()).zip(of_records);
+        places.zip(fields).map(move |(((x, y), z), (((class, returns), source), (is_withheld, sd_m)))| {
+            ReadPoint {
+                position_m: [x * plane_m, y * plane_m, z * height_m],
+                class,
+                returns,
+                source,
+                is_withheld,
+                sd_m,
+            }
         })
     }
 
@@ -168,15 +218,16 @@ impl Cloud {
         } else if is_overlap {
             &mut left.n_overlap
         } else {
-            return Some(self.tile_point(point, true));
+            return Some(self.tile_point(point, [true, false]));
         };
         *reason += 1;
         // Kept ground and overlap points are measurements like others.
-        let takes_part = !point.is_withheld && (is_overlap || is_kept && point.class == Class::Ground as u8);
-        takes_part.then(|| self.tile_point(point, false))
+        let is_kept_ground = is_kept && point.class == Class::Ground as u8;
+        let takes_part = !point.is_withheld && (is_overlap || is_kept_ground);
+        takes_part.then(|| self.tile_point(point, [false, is_kept_ground]))
     }
 
-    fn tile_point(&self, point: ReadPoint, is_classified: bool) -> TilePoint {
+    fn tile_point(&self, point: ReadPoint, [is_classified, is_kept_ground]: [bool; 2]) -> TilePoint {
         let height_m = point.position_m[2];
         let absurd = match height_m {
             _ if height_m < HEIGHTS_M[0] => Some(Class::LowNoise),
@@ -184,9 +235,14 @@ impl Cloud {
             _ => None,
         };
         let (return_number, n_returns) = point.returns;
-        let measured =
-            CloudPoint { return_number, n_returns, strip: point.source, ..CloudPoint::at(point.position_m) };
-        TilePoint { point: measured, is_classified, absurd }
+        let measured = CloudPoint {
+            return_number,
+            n_returns,
+            strip: point.source,
+            height_sd_m: point.sd_m,
+            ..CloudPoint::at(point.position_m)
+        };
+        TilePoint { point: measured, is_classified, is_kept_ground, absurd }
     }
 
     /// Runs a decoder, which may panic on damaged data.
@@ -268,4 +324,14 @@ struct ReadPoint {
     returns: (u8, u8),
     source: u16,
     is_withheld: bool,
+    /// NaN if unknown.
+    sd_m: f32,
+}
+
+impl ReadPoint {
+    /// Whether the file says nothing against a point of the surface: a first return that is no noise.
+    fn may_be_surface(&self) -> bool {
+        let is_absurd = !(HEIGHTS_M[0]..=HEIGHTS_M[1]).contains(&self.position_m[2]);
+        !self.is_withheld && !NOISE.contains(&self.class) && self.returns.0 <= 1 && !is_absurd
+    }
 }

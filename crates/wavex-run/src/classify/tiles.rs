@@ -8,8 +8,7 @@ use rayon::prelude::*;
 use wavex_ground::filter::{GroundSettings, OVERLAP_M, TILE_M, classify_ground};
 use wavex_ground::point::{Class, CloudPoint};
 use wavex_ground::rays::{NoiseSettings, mark_noise};
-
-use super::spool::{Spool, SpoolWriter};
+use wavex_stages::terrain::{GroundPoints, Spool, SpoolBuffers, SpoolWriter, SurfacePoints};
 
 /// Most points that are classified together.
 ///
@@ -20,8 +19,8 @@ const MOST_POINTS: u64 = 6_000_000;
 const POINT_BYTES: u64 = 200;
 /// Points of a block of classes.
 const BLOCK_POINTS: u64 = 1 << 20;
-/// Bytes of a spooled point: cloud, index, coordinates, returns, flag, strip.
-const RECORD_BYTES: usize = 4 + 8 + 24 + 2 + 1 + 2;
+/// Bytes of a spooled point: cloud, index, coordinates, returns, flag, strip, SD of the height.
+const RECORD_BYTES: usize = 4 + 8 + 24 + 2 + 1 + 2 + 4;
 /// Bytes of a spooled class: index in its block, class.
 const CLASS_BYTES: usize = 5;
 
@@ -36,6 +35,8 @@ pub(super) struct TilePoint {
     pub(super) point: CloudPoint,
     /// Whether its class is written.
     pub(super) is_classified: bool,
+    /// Whether it is ground whatever the classification says: kept class 2.
+    pub(super) is_kept_ground: bool,
     /// Class by its height alone, which is absurd; it takes no part.
     pub(super) absurd: Option<Class>,
 }
@@ -43,7 +44,11 @@ pub(super) struct TilePoint {
 /// Points of all clouds by tiles.
 pub(super) struct Tiles<'a> {
     pub(super) kept_classes: &'a [u8],
+    /// Edge of the cells of a surface model, m; `None`: there is none.
+    pub(super) surface_cell_m: Option<f64>,
     points: Spool<Tile>,
+    /// Positions of first returns that take no part but belong to the surface, by cloud.
+    kept: Spool<u32>,
     /// Absurd points, by cloud and block.
     absurd: Spool<(u32, u64)>,
 }
@@ -55,16 +60,22 @@ fn tile_of(position_m: [f64; 3]) -> Tile {
 
 impl<'a> Tiles<'a> {
     /// No points; temporary files are in `folder`.
-    pub(super) fn new(folder: &Path, kept_classes: &'a [u8]) -> io::Result<Tiles<'a>> {
+    pub(super) fn new(
+        folder: &Path,
+        kept_classes: &'a [u8],
+        surface_cell_m: Option<f64>,
+    ) -> io::Result<Tiles<'a>> {
         Ok(Tiles {
             kept_classes,
+            surface_cell_m,
             points: Spool::new(folder, RECORD_BYTES)?,
+            kept: Spool::new(folder, 24)?,
             absurd: Spool::new(folder, CLASS_BYTES)?,
         })
     }
 
     pub(super) fn writer(&self) -> TileWriter<'_> {
-        TileWriter { points: self.points.writer(), absurd: self.absurd.writer() }
+        TileWriter { points: self.points.writer(), kept: self.kept.writer(), absurd: self.absurd.writer() }
     }
 
     /// Classifies all points but those of failed clouds, in bounded memory.
@@ -77,8 +88,22 @@ impl<'a> Tiles<'a> {
         (failed, memory_mb): (&BTreeSet<u32>, u64),
         mut progress: impl FnMut(f64) -> bool,
     ) -> io::Result<Option<Ground>> {
+        let surface = self.surface_cell_m.map(|cell_m| SurfacePoints::new(folder, cell_m)).transpose()?;
         let ground =
-            Ground { classes: Spool::new(folder, CLASS_BYTES)?, points: Spool::new(folder, RECORD_BYTES)? };
+            Ground { classes: Spool::new(folder, CLASS_BYTES)?, points: GroundPoints::new(folder)?, surface };
+        if let Some(surface) = &ground.surface {
+            let mut buffers = SpoolBuffers::default();
+            for cloud in self.kept.keys().into_iter().filter(|cloud| !failed.contains(cloud)) {
+                let mut result = Ok(());
+                self.kept.read(cloud, |record| {
+                    if let (Ok(()), Some(position_m)) = (&result, position_of(record)) {
+                        result = surface.push(&mut buffers, position_m);
+                    }
+                })?;
+                result?;
+            }
+            surface.flush(&mut buffers)?;
+        }
         let mut writer = ground.classes.writer();
         for key in self.absurd.keys() {
             let mut result = Ok(());
@@ -127,27 +152,33 @@ impl<'a> Tiles<'a> {
         let mut n_points = self.n_around(tile);
         if n_points > MOST_POINTS {
             n_points = 0;
-            self.points
-                .near(tile, OVERLAP_M, |point| n_points += u64::from(!failed.contains(&point.id.0)))?;
+            near(&self.points, tile, OVERLAP_M, |point| {
+                n_points += u64::from(!failed.contains(&point.id.0))
+            })?;
         }
         let n_parts = n_points.div_ceil(MOST_POINTS).max(1);
-        let (mut classes, mut ground_points) = (ground.classes.writer(), ground.points.writer());
+        let mut classes = ground.classes.writer();
+        let (mut of_ground, mut of_surface) = (SpoolBuffers::default(), SpoolBuffers::default());
         for part in 0..n_parts {
-            let mut near = Vec::new();
-            self.points.near(tile, OVERLAP_M, |point| {
+            let mut spooled = Vec::new();
+            near(&self.points, tile, OVERLAP_M, |point| {
                 let is_of_part = n_parts == 1 || hash(point.point.position_m) % n_parts == part;
                 if is_of_part && !failed.contains(&point.id.0) {
-                    near.push(point);
+                    spooled.push(point);
                 }
             })?;
-            near.sort_unstable_by_key(|point| point.id);
-            let points: Vec<CloudPoint> = near.iter().map(|near| near.point).collect();
-            for (near, class) in near.iter().zip(classes_of(&points, settings)) {
+            spooled.sort_unstable_by_key(|point| point.id);
+            let points: Vec<CloudPoint> = spooled.iter().map(|near| near.point).collect();
+            for (near, class) in spooled.iter().zip(classes_of(&points, settings)) {
                 if tile_of(near.point.position_m) != tile {
                     continue;
                 }
-                if class == Class::Ground {
-                    ground_points.push(tile, &near.record())?;
+                if class == Class::Ground || near.is_kept_ground {
+                    ground.points.push(&mut of_ground, &near.point)?;
+                }
+                let is_noise = matches!(class, Class::LowNoise | Class::HighNoise);
+                if let (Some(surface), false, 0..=1) = (&ground.surface, is_noise, near.point.return_number) {
+                    surface.push(&mut of_surface, near.point.position_m)?;
                 }
                 if near.is_classified {
                     push_class(&mut classes, near.id, class)?;
@@ -155,7 +186,8 @@ impl<'a> Tiles<'a> {
             }
         }
         classes.finish()?;
-        ground_points.finish()
+        ground.surface.as_ref().map_or(Ok(()), |surface| surface.flush(&mut of_surface))?;
+        ground.points.flush(&mut of_ground)
     }
 }
 
@@ -207,6 +239,7 @@ fn push_class(
 /// Writer of the points of one cloud.
 pub(super) struct TileWriter<'a> {
     points: SpoolWriter<'a, Tile>,
+    kept: SpoolWriter<'a, u32>,
     absurd: SpoolWriter<'a, (u32, u64)>,
 }
 
@@ -216,14 +249,25 @@ impl TileWriter<'_> {
             Some(class) if point.is_classified => push_class(&mut self.absurd, id, class),
             Some(_) => Ok(()),
             None => {
-                let spooled = Spooled { id, is_classified: point.is_classified, point: point.point };
-                self.points.push(tile_of(point.point.position_m), &spooled.record())
+                let TilePoint { point, is_classified, is_kept_ground, .. } = *point;
+                let spooled = Spooled { id, is_classified, is_kept_ground, point };
+                self.points.push(tile_of(point.position_m), &spooled.record())
             }
         }
     }
 
+    /// Adds a first return that takes no part but belongs to the surface.
+    pub(super) fn push_kept(&mut self, cloud: u32, position_m: [f64; 3]) -> io::Result<()> {
+        let mut record = [0; 24];
+        for (bytes, value) in record.chunks_exact_mut(8).zip(position_m) {
+            bytes.copy_from_slice(&value.to_le_bytes());
+        }
+        self.kept.push(cloud, &record)
+    }
+
     pub(super) fn finish(self) -> io::Result<()> {
         self.points.finish()?;
+        self.kept.finish()?;
         self.absurd.finish()
     }
 }
@@ -232,6 +276,7 @@ impl TileWriter<'_> {
 struct Spooled {
     id: PointId,
     is_classified: bool,
+    is_kept_ground: bool,
     point: CloudPoint,
 }
 
@@ -245,46 +290,54 @@ impl Spooled {
         }
         record[36] = self.point.return_number;
         record[37] = self.point.n_returns;
-        record[38] = u8::from(self.is_classified);
-        record[39..].copy_from_slice(&self.point.strip.to_le_bytes());
+        record[38] = u8::from(self.is_classified) | u8::from(self.is_kept_ground) << 1;
+        record[39..41].copy_from_slice(&self.point.strip.to_le_bytes());
+        record[41..].copy_from_slice(&self.point.height_sd_m.to_le_bytes());
         record
     }
 
     fn of(record: &[u8]) -> Option<Spooled> {
         let (cloud, rest) = record.split_first_chunk()?;
         let (index, rest) = rest.split_first_chunk()?;
-        let (places, rest) = rest.split_at_checked(24)?;
-        let [return_number, n_returns, is_classified, low, high] = *rest.first_chunk()?;
-        let (places, _) = places.as_chunks();
-        let position_m = <[[u8; 8]; 3]>::try_from(places).ok()?.map(f64::from_le_bytes);
+        let position_m = position_of(rest)?;
+        let (_, rest) = rest.split_at_checked(24)?;
+        let ([return_number, n_returns, flags, low, high], rest) =
+            rest.split_first_chunk().map(|(chunk, rest)| (*chunk, rest))?;
+        let height_sd_m = f32::from_le_bytes(*rest.first_chunk()?);
         let strip = u16::from_le_bytes([low, high]);
         Some(Spooled {
             id: (u32::from_le_bytes(*cloud), u64::from_le_bytes(*index)),
-            is_classified: is_classified != 0,
-            point: CloudPoint { return_number, n_returns, strip, ..CloudPoint::at(position_m) },
+            is_classified: flags & 1 != 0,
+            is_kept_ground: flags & 2 != 0,
+            point: CloudPoint { return_number, n_returns, strip, height_sd_m, ..CloudPoint::at(position_m) },
         })
     }
 }
 
-impl Spool<Tile> {
-    /// Gives all points within `margin_m` of a tile.
-    fn near(&self, tile: Tile, margin_m: f64, mut each: impl FnMut(Spooled)) -> io::Result<()> {
-        let is_near = |point: &Spooled| {
-            (0..2).all(|axis| {
-                let from_m = point.point.position_m[axis] - tile[axis] as f64 * TILE_M;
-                (-margin_m..=TILE_M + margin_m).contains(&from_m)
-            })
-        };
-        around(tile, margin_m).try_for_each(|other| {
-            self.read(other, |record| Spooled::of(record).filter(is_near).into_iter().for_each(&mut each))
-        })
-    }
+/// Position at the beginning of a record, m.
+fn position_of(record: &[u8]) -> Option<[f64; 3]> {
+    let (places, _) = record.get(..24)?.as_chunks();
+    Some(<[[u8; 8]; 3]>::try_from(places).ok()?.map(f64::from_le_bytes))
 }
 
-/// Classes of all points, and the ground points.
+/// Gives all points within `margin_m` of a tile.
+fn near(points: &Spool<Tile>, tile: Tile, margin_m: f64, mut each: impl FnMut(Spooled)) -> io::Result<()> {
+    let is_near = |point: &Spooled| {
+        (0..2).all(|axis| {
+            let from_m = point.point.position_m[axis] - tile[axis] as f64 * TILE_M;
+            (-margin_m..=TILE_M + margin_m).contains(&from_m)
+        })
+    };
+    around(tile, margin_m).try_for_each(|other| {
+        points.read(other, |record| Spooled::of(record).filter(is_near).into_iter().for_each(&mut each))
+    })
+}
+
+/// Classes of all points, the ground points, and the first returns if a surface is modelled.
 pub(super) struct Ground {
     classes: Spool<(u32, u64)>,
-    points: Spool<Tile>,
+    pub(super) points: GroundPoints,
+    pub(super) surface: Option<SurfacePoints>,
 }
 
 impl Ground {
@@ -298,19 +351,6 @@ impl Ground {
             place.into_iter().for_each(|place| *place = *class);
         })?;
         Ok(ClassBlock { number: Some(number), classes })
-    }
-
-    /// Tiles with ground.
-    pub(super) fn tiles(&self) -> Vec<Tile> {
-        self.points.keys()
-    }
-
-    /// Ground points within `margin_m` of a tile, in an order that depends on the clouds only.
-    pub(super) fn points(&self, tile: Tile, margin_m: f64) -> io::Result<Vec<CloudPoint>> {
-        let mut near = Vec::new();
-        self.points.near(tile, margin_m, |point| near.push(point))?;
-        near.sort_unstable_by_key(|point| point.id);
-        Ok(near.into_iter().map(|near| near.point).collect())
     }
 }
 

@@ -14,7 +14,7 @@ const HELD_BYTES: usize = 32 << 20;
 /// Records by key, each of [`Spool::new`]'s length, in a temporary file without a name.
 ///
 /// The order of the records of a key is that of the writers, so it depends on threads.
-pub(super) struct Spool<K> {
+pub struct Spool<K> {
     content: Mutex<Content<K>>,
     record_bytes: usize,
 }
@@ -28,28 +28,36 @@ struct Content<K> {
 
 impl<K: Ord + Copy> Spool<K> {
     /// Spool of records of this length, in a file in `folder`.
-    pub(super) fn new(folder: &Path, record_bytes: usize) -> io::Result<Spool<K>> {
+    ///
+    /// # Errors
+    /// The file cannot be created.
+    pub fn new(folder: &Path, record_bytes: usize) -> io::Result<Spool<K>> {
         let content = Content { file: tempfile::tempfile_in(folder)?, end: 0, blocks: BTreeMap::new() };
         Ok(Spool { content: Mutex::new(content), record_bytes })
     }
 
-    pub(super) fn keys(&self) -> Vec<K> {
+    /// Keys with records, in ascending order.
+    pub fn keys(&self) -> Vec<K> {
         self.content.lock().unwrap_or_else(PoisonError::into_inner).blocks.keys().copied().collect()
     }
 
     /// Number of records of a key.
-    pub(super) fn count(&self, key: K) -> u64 {
+    pub fn count(&self, key: K) -> u64 {
         let content = self.content.lock().unwrap_or_else(PoisonError::into_inner);
         let bytes = content.blocks.get(&key).into_iter().flatten().map(|(_, length)| *length as u64);
         bytes.sum::<u64>() / self.record_bytes as u64
     }
 
-    pub(super) fn writer(&self) -> SpoolWriter<'_, K> {
-        SpoolWriter { spool: self, buffers: BTreeMap::new(), held: 0 }
+    /// Writer for one thread.
+    pub fn writer(&self) -> SpoolWriter<'_, K> {
+        SpoolWriter { spool: self, buffers: SpoolBuffers::default() }
     }
 
     /// Gives all records of a key.
-    pub(super) fn read(&self, key: K, mut each: impl FnMut(&[u8])) -> io::Result<()> {
+    ///
+    /// # Errors
+    /// The temporary file cannot be read.
+    pub fn read(&self, key: K, mut each: impl FnMut(&[u8])) -> io::Result<()> {
         let mut block = Vec::new();
         for number in 0.. {
             {
@@ -76,36 +84,71 @@ impl<K: Ord + Copy> Spool<K> {
     }
 }
 
-/// Writer of one thread; [`SpoolWriter::finish`] writes what it holds.
-pub(super) struct SpoolWriter<'a, K> {
-    spool: &'a Spool<K>,
+/// Records that a thread has not yet written.
+///
+/// Each call gets the same spool; [`SpoolBuffers::flush`] writes the rest.
+pub struct SpoolBuffers<K> {
     buffers: BTreeMap<K, Vec<u8>>,
     held: usize,
 }
 
-impl<K: Ord + Copy> SpoolWriter<'_, K> {
-    pub(super) fn push(&mut self, key: K, record: &[u8]) -> io::Result<()> {
+impl<K> Default for SpoolBuffers<K> {
+    fn default() -> SpoolBuffers<K> {
+        SpoolBuffers { buffers: BTreeMap::new(), held: 0 }
+    }
+}
+
+impl<K: Ord + Copy> SpoolBuffers<K> {
+    /// Adds a record.
+    ///
+    /// # Errors
+    /// The temporary file cannot be written.
+    pub fn push(&mut self, spool: &Spool<K>, key: K, record: &[u8]) -> io::Result<()> {
         let buffer = self.buffers.entry(key).or_default();
         buffer.extend_from_slice(record);
         self.held += record.len();
         if buffer.len() >= BLOCK_BYTES {
             self.held -= buffer.len();
-            self.spool.append(key, buffer)?;
+            spool.append(key, buffer)?;
             buffer.clear();
         }
-        if self.held >= HELD_BYTES { self.flush() } else { Ok(()) }
+        if self.held >= HELD_BYTES { self.flush(spool) } else { Ok(()) }
     }
 
-    pub(super) fn finish(mut self) -> io::Result<()> {
-        self.flush()
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
+    /// Writes all records.
+    ///
+    /// # Errors
+    /// The temporary file cannot be written.
+    pub fn flush(&mut self, spool: &Spool<K>) -> io::Result<()> {
         self.held = 0;
         let buffers = std::mem::take(&mut self.buffers).into_iter();
         buffers
             .filter(|(_, buffer)| !buffer.is_empty())
-            .try_for_each(|(key, buffer)| self.spool.append(key, &buffer))
+            .try_for_each(|(key, buffer)| spool.append(key, &buffer))
+    }
+}
+
+/// Writer of one thread; [`SpoolWriter::finish`] writes what it holds.
+pub struct SpoolWriter<'a, K> {
+    spool: &'a Spool<K>,
+    buffers: SpoolBuffers<K>,
+}
+
+impl<K: Ord + Copy> SpoolWriter<'_, K> {
+    /// Adds a record.
+    ///
+    /// # Errors
+    /// The temporary file cannot be written.
+    pub fn push(&mut self, key: K, record: &[u8]) -> io::Result<()> {
+        self.buffers.push(self.spool, key, record)
+    }
+
+    /// Writes what it holds.
+    ///
+    /// # Errors
+    /// The temporary file cannot be written.
+    pub fn finish(mut self) -> io::Result<()> {
+        self.buffers.flush(self.spool)
     }
 }
 
