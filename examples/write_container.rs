@@ -166,5 +166,6 @@ fn found(n: u64, index: u8, count: u8) -> Return {
         intensity_sd: 1.0,
         withheld: index == 1,
         class: 20 * index,
+        height_above_ground_m: f32::NAN,
     }
 }

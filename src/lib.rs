@@ -34,7 +34,7 @@ pub use wavex_classic as classic;
 pub use wavex_engine::{engine, job, recording};
 pub use wavex_line::{georef, keys, plausibility, reason, scan_line, stage};
 pub use wavex_pages::{inspect, report, view};
-pub use wavex_run::{Failure, align, archive, cluster, explain, job_file, run};
+pub use wavex_run::{Failure, align, archive, classify, cluster, explain, job_file, run};
 pub use wavex_stages as stages;
 pub use wavex_stages::{checks, registry};
 

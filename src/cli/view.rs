@@ -103,13 +103,14 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
     let layers = match kind {
         "folder" if place.is_dir() => place.clone(),
         "folder" => place.parent().map_or_else(PathBuf::new, Path::to_path_buf),
+        "points" => place.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new(".")).into(),
         _ => output_dir,
     };
     let with = move |more: &[String]| {
         let all: Vec<String> = set.iter().chain(more).cloned().collect();
         source.parse(&all).map_err(|failure| failure.text())
     };
-    let folder = matches!(kind, "folder" | "job").then_some(layers);
+    let folder = (kind != "recording").then_some(layers);
     let without_waveforms = (kind == "points").then(|| instead_of_points(place));
     Ok(Opened { title, kind, without_waveforms, job, with: Box::new(with), input_dir, folder, memory_bytes })
 }

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use schemars::generate::SchemaSettings;
 use wavex::archive::Archive;
+use wavex::classify::ClassifyReport;
 use wavex::cluster::SurveyPlan;
 use wavex::georef::corrections::CorrectionsFile;
 use wavex::inspect::ScanSummary;
@@ -77,6 +78,13 @@ fn the_schema_of_alignments_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<AlignReport>();
     check("schemas/align.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_classifications_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12().for_serialize();
+    let schema = settings.into_generator().into_root_schema_for::<ClassifyReport>();
+    check("schemas/classify.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

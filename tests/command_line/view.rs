@@ -179,6 +179,64 @@ fn a_profile_has_the_points_beside_its_line() {
     }
 }
 
+/// The ground is a line of the profile, and a terrain model next to the points is a layer, with its SD.
+#[test]
+fn the_ground_is_shown_with_points() {
+    let place = TestFolder::new();
+    let points = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 100\nshots_per_line = 200\nflying_height_m = 150.0\n\
+                  [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\n\
+                  [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'georeference'\n\
+                  [[stage]]\ntype = 'write_las'\npath = '*.laz'\n";
+    assert_eq!(place.run(points), Outcome::success());
+    let classify =
+        ["--quiet", "classify", "out/flight.laz", "-o", "ground/flight.laz", "--dem", "ground/dtm.tif"];
+    let classified = place.wavex(&classify);
+    assert_eq!(classified.code, Some(0), "{}", classified.err);
+    place.write("ground/other.tif", b"II*\0no raster");
+    let ground_of = |file: &str| {
+        let view = view(&place, &[file]);
+        let info = view.ready();
+        let at = |name: &str, i: usize| info[name][i].as_f64().unwrap();
+        let (from, to) = ([at("min", 0), at("min", 1)], [at("max", 0), at("max", 1)]);
+        let line = format!(
+            "generation={}&from={},{}&to={},{}&width_m=4",
+            info["generation"], from[0], from[1], to[0], to[1]
+        );
+        let ground = view.json(&format!("ground?{line}"));
+        let body = view.ask(&format!("profile?{line}")).body;
+        let n = u32::from_le_bytes(body[..4].try_into().unwrap()) as usize;
+        let heights = numbers(&body[8..])[n..2 * n].to_vec();
+        let pictures: Vec<u16> = info["layers"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|layer| {
+                let name = layer["name"].as_str().unwrap().replace(' ', "%20");
+                view.ask(&format!("layer?name={name}")).status
+            })
+            .collect();
+        (info, ground, heights, pictures)
+    };
+    let (info, ground, heights, pictures) = ground_of("ground/flight.laz");
+    let parts = ground["ground"].as_array().unwrap();
+    let line: Vec<(f64, f64)> = parts
+        .iter()
+        .flat_map(|part| part.as_array().unwrap())
+        .map(|place| (place[0].as_f64().unwrap(), place[1].as_f64().unwrap()))
+        .collect();
+    assert!(line.len() > 20 && line.windows(2).all(|pair| pair[0].0 < pair[1].0), "{parts:?}");
+    let lowest = heights.iter().copied().fold(f32::INFINITY, f32::min);
+    assert!(line.iter().all(|(_, height)| *height >= f64::from(lowest)), "{lowest} {line:?}");
+    let labels: Vec<&str> =
+        info["layers"].as_array().unwrap().iter().map(|layer| layer["label"].as_str().unwrap()).collect();
+    assert_eq!(labels, ["dtm: height, m", "dtm: SD of the height, m"]);
+    assert_eq!((pictures, info["warnings"].as_array().unwrap().len()), (vec![200, 200], 0), "{info}");
+    let sd = &info["layers"][1]["range"];
+    assert!(sd[0].as_f64().unwrap() > 0.0 && sd[1].as_f64().unwrap() < 20.0, "{sd}");
+    let (info, ground, _, _) = ground_of("out/flight.laz");
+    assert_eq!((&ground["ground"], &info["layers"]), (&serde_json::json!([]), &serde_json::json!([])));
+}
+
 #[test]
 fn a_job_with_two_receivers_and_open_zones_is_viewed_shot_by_shot() {
     let place = TestFolder::new();

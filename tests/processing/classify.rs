@@ -324,6 +324,81 @@ fn the_rest_of_the_clouds_is_classified() {
     assert!(text.contains("in/d.laz") && !place.path("none/d.laz").exists(), "{text}");
 }
 
+/// A COPC input stays COPC, and its points get the classes of the same points in LAZ, also with little memory.
+#[test]
+fn copc_stays_copc() {
+    let place = TestFolder::new();
+    place.write("a.laz", &scene(&SCENE));
+    succeeds(&place, &["copc", "a.laz", "--quiet"]);
+    succeeds(&place, &["classify", "a.laz", "-o", "out/a.laz"]);
+    succeeds(
+        &place,
+        &["classify", "a.copc.laz", "-o", "out/a.copc.laz", "--memory-mb", "1", "--threads", "2"],
+    );
+    let copy = bytes(&place, "out/a.copc.laz");
+    // The first record is that of COPC.
+    assert_eq!((&copy[377..381], &copy[393..395]), (b"copc".as_slice(), [1, 0].as_slice()));
+    // The time distinguishes points.
+    let by_time = |name: &str| {
+        let mut reader = Reader::from_path(place.path(name)).unwrap();
+        let points = reader.read_all().unwrap();
+        let times = points.gps_time().unwrap().map(f64::to_bits);
+        let mut all: Vec<(u64, u8)> = times.zip(points.classification()).collect();
+        all.sort_unstable();
+        all
+    };
+    let (expected, found) = (by_time("out/a.laz"), by_time("out/a.copc.laz"));
+    assert!(found == expected && found.iter().any(|(_, class)| *class == 2));
+    // The octree of the copy leads to its points.
+    succeeds(&place, &["copc", "out/a.copc.laz", "-o", "again.copc.laz", "--quiet"]);
+    assert!(by_time("again.copc.laz") == expected);
+}
+
+/// Ctrl-C leaves no file.
+#[cfg(unix)]
+#[test]
+fn an_interruption_leaves_no_file() {
+    use std::process::{Command, Stdio};
+    let place = TestFolder::new();
+    let (all, _) = points(&SCENE);
+    let far = |i: usize| {
+        let moved = move |point: &Point| Point { x: point.x + EDGE_M * i as f64, ..point.clone() };
+        all.iter().map(moved).collect::<Vec<Point>>()
+    };
+    place.write("a.laz", &file(&SCENE, (0..20).flat_map(far).collect()));
+    let n_files = || place.path("out").read_dir().map_or(0, |entries| entries.count());
+    for signal in ["INT", "TERM"] {
+        let mut child = wavex_testkit::wavex()
+            .args([
+                "classify",
+                "a.laz",
+                "-o",
+                "out",
+                "--report",
+                "out/report.json",
+                "--threads",
+                "1",
+                "--quiet",
+            ])
+            .current_dir(place.path(""))
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        while n_files() == 0 {
+            assert_eq!(child.try_wait().unwrap(), None, "it ended before it was interrupted");
+            std::thread::sleep(std::time::Duration::from_millis(2));
+        }
+        let sent =
+            Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+        let output = child.wait_with_output().unwrap();
+        let err = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), err.as_str()), (Some(1), "error: interrupted\n"));
+        assert_eq!(n_files(), 0);
+    }
+}
+
 #[test]
 fn wrong_outputs_are_refused() {
     let place = TestFolder::new();

@@ -98,6 +98,47 @@ fn ground_and_noise_are_found_in_blocks() {
     assert_eq!((of_class(&lines, 7).len(), of_class(&lines, 2).len()), (1, 0));
 }
 
+/// Heights of the returns of a line, rounded to 1 cm.
+fn heights_cm(line: &ScanLine) -> Vec<Option<i32>> {
+    let height_cm = |r: &Return| Some(r.height_above_ground_m).filter(|height_m| !height_m.is_nan());
+    line.returns().unwrap().iter().map(|r| height_cm(r).map(|m| (100.0 * m).round() as i32)).collect()
+}
+
+#[test]
+fn heights_are_above_the_ground_of_the_block() {
+    let (lines, _) = run("height_above_ground = true", flight(Frame::Map), usize::MAX);
+    assert!(lines.iter().all(|line| line.input.has_heights_above_ground));
+    let house = heights_cm(&lines[70]);
+    assert_eq!((house[40], house[31]), (Some(800), Some(800)));
+    // Its ground points are the ends of the line.
+    assert_eq!([10, 70].map(|shot| house[shot]), [Some(0); 2]);
+    assert_eq!((heights_cm(&lines[20])[40], heights_cm(&lines[100])[20]), (Some(-3000), Some(6000)));
+    assert_eq!(heights_cm(&lines[50])[10], None, "withheld before");
+    let (lines, _) = run("", flight(Frame::Map), usize::MAX);
+    assert!(lines.iter().all(|line| !line.input.has_heights_above_ground));
+    assert!(heights_cm(&lines[70]).iter().all(Option::is_none));
+}
+
+/// The house does not change the height above ground, as it does for the median of last returns.
+#[test]
+fn the_height_above_ground_of_a_line_is_that_above_ground_points() {
+    let narrow = |frame| {
+        let mut lines = flight(frame);
+        for line in &mut lines {
+            line.stats.agl_m = Some(492.0);
+        }
+        run("", lines, usize::MAX).0
+    };
+    let lines = narrow(Frame::Map);
+    assert!(lines.iter().all(|line| (line.stats.agl_m.unwrap() - 500.0).abs() < 0.01));
+    assert!(narrow(Frame::Scanner).iter().all(|line| line.stats.agl_m == Some(492.0)), "without ground");
+    let mut lines = flight(Frame::Map);
+    let input = Arc::new(InputInfo { frame: Frame::Map, origin_is_sensor: false, ..InputInfo::default() });
+    lines.iter_mut().for_each(|line| line.input = Arc::clone(&input));
+    let lines = run("", lines, usize::MAX).0;
+    assert!(lines.iter().all(|line| line.stats.agl_m.is_none()), "the sensor's position is unknown");
+}
+
 #[test]
 fn blocks_are_shorter_if_memory_is_short() {
     let of_line = line(Frame::Map, 0, |_| None).bytes();

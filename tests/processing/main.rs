@@ -11,6 +11,7 @@ mod agc;
 mod align;
 mod align_clouds;
 mod classify;
+mod classify_run;
 mod classify_stage;
 mod false_alarms;
 mod footprint_models;

@@ -294,7 +294,8 @@ def make_pages(wavex, folder):
     run(wavex, folder, "recording", f"[job]\noutput_dir = 'in'\n{off}{flight}[[stage]]\ntype = 'write_arrow'\n")
     read = "[[stage]]\ntype = 'read_arrow'\npath = '{}'\n"
     run(wavex, folder, "flight", "[job]\ninput_dir = 'in'\noutput_dir = 'out'\nreport_page = true\n"
-        "[job.geometry]\ntrajectory = '*.out'\ncrs = 'utm'\n" + read.format("flight.arrow") + STAGES)
+        "[job.geometry]\ntrajectory = '*.out'\ncrs = 'utm'\n" + read.format("flight.arrow")
+        + STAGES.replace("[[stage]]\ntype = \"write_las\"", "[[stage]]\ntype = \"classify\"\n[[stage]]\ntype = \"write_las\""))
     for seed, stem in enumerate("ab", 1):
         strip = simulate.format(seed=seed, lines=60) + f"stem = '{stem}'\ntrack_offset_m = [{60 * seed}.0, 0.0]\n"
         run(wavex, folder, f"strip_{stem}",

@@ -231,6 +231,12 @@ def check_profile(checks, tab, places):
     title = tab.locator("#dock-title").inner_text()
     shown = int(re.search(r"([\d\u202f]+) points", title)[1].replace("\u202f", ""))
     checks.that("points of the profile", expected > 10 and abs(shown - expected) <= 1, f"{title}, {expected} expected")
+    ground = tab.evaluate("wavexView.ground()")
+    checks.that("the house interrupts the ground", len(ground) == 2, f"{len(ground)} parts")
+    checks.that("the title explains the line", title.endswith("; line: median of the ground"), title)
+    places = [(start - ORIGIN[:2] + along * at, height - ORIGIN[2]) for part in ground for at, height in part]
+    errors = [abs(height - 6.0 * np.sin(x / 24.0) * np.cos(y / 30.0)) for (x, y), height in places]
+    checks.that("heights of the ground", len(errors) > 10 and max(errors) < 0.5, f"{len(errors)}, {max(errors, default=0):.2f} m")
     tab.keyboard.press("Escape")
 
 

@@ -83,6 +83,8 @@ fn wrong_and_huge_requests_get_an_answer_of_bounded_size() {
         format!("point?generation={generation}&index=4294967295"),
         format!("profile?generation={generation}&from=nan,0&to=1,1&width_m=1"),
         format!("profile?generation={generation}&from=0,0&to=0,0&width_m=1"),
+        format!("ground?generation={generation}&from=0,0&to=0,0&width_m=1"),
+        format!("ground?generation={generation}&from=0,0&to=1,1"),
         format!("profile?generation={generation}&from=0,0&to=1,1&width_m=-1"),
         format!("find?generation={generation}&sort=nothing"),
         format!("find?generation={generation}&flag=nothing"),
@@ -102,6 +104,7 @@ fn wrong_and_huge_requests_get_an_answer_of_bounded_size() {
     assert_eq!(viewer.ask("tree?generation=4000000000").status, 410);
     let far = format!("profile?generation={generation}&from=-1e300,0&to=1e300,1e300&width_m=1e300");
     assert!(matches!(viewer.ask(&far).status, 200 | 400));
+    assert!(matches!(viewer.ask(&far.replace("profile?", "ground?")).status, 200 | 400));
     let all = format!("find?generation={generation}&sort=height_m&limit=999999999999");
     assert!(viewer.json(&all)["found"].as_array().unwrap().len() <= 5000);
     let host = format!("host: {}\r\n", viewer.host);

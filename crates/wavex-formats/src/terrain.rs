@@ -60,7 +60,26 @@ impl Terrain {
         regular_file(path)?.take(4).read_to_end(&mut magic).map_err(Error::io(path, "read"))?;
         let is_tiff =
             magic.len() == 4 && (magic[..2] == *b"II" || magic[..2] == *b"MM") && magic.contains(&0);
-        let raster = if is_tiff { geotiff::read(path)? } else { ascii::read(path)? };
+        Terrain::made(path, if is_tiff { geotiff::read(path)? } else { ascii::read(path)? })
+    }
+
+    /// Reads a band of a GeoTIFF whose bands are next to each other; the first is 0.
+    ///
+    /// # Errors
+    /// As [`Terrain::open`]; the file has no such band.
+    pub fn open_band(path: &Path, band: usize) -> Result<Terrain> {
+        Terrain::made(path, geotiff::read_band(path, Some(band))?)
+    }
+
+    /// Descriptions of the bands of a GeoTIFF; empty where it has none.
+    ///
+    /// # Errors
+    /// The file is not a TIFF.
+    pub fn band_descriptions(path: &Path) -> Result<Vec<String>> {
+        geotiff::band_descriptions(path)
+    }
+
+    fn made(path: &Path, raster: Raster) -> Result<Terrain> {
         Terrain::new(raster).ok_or_else(|| {
             let remedy = "give the terrain model of this area";
             Error::unusable(path, "the terrain model has no heights", remedy)

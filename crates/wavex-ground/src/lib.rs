@@ -2,6 +2,7 @@
 #![warn(unreachable_pub)]
 
 pub mod filter;
+pub mod height;
 pub mod hillshade;
 pub mod point;
 pub mod rays;

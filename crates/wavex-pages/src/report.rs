@@ -22,9 +22,9 @@ mod tables;
 pub use earlier::difference;
 pub(crate) use overview::view::crs_name;
 pub use overview::{
-    Densities, Density, Flight, LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews, Picture,
-    PointSummary, QuantityHistogram, ShownKind, ShownReturn, ShownShot, TimeCoverage, ZoneCloud, ZoneClouds,
-    ZoneShare, Zones,
+    Densities, Density, Flight, GroundSummary, LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews,
+    Picture, PointSummary, QuantityHistogram, ShownKind, ShownReturn, ShownShot, TimeCoverage, ZoneCloud,
+    ZoneClouds, ZoneShare, Zones,
 };
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};
 pub use tables::{input_table, latency_table, stage_table, survey_table};

@@ -100,6 +100,14 @@ pub(crate) const CALIBRATION: Rule =
 pub(crate) const SHAPE_ERROR: Rule =
     at_most("largest shape error of the response", "% of the peak", [1.0, 3.0]);
 
+/// Rules of the ground classification; `report/page/ground.rs` states reasons and remedies.
+pub(crate) const GROUND_DENSITY: Rule =
+    Rule { is_minimum: true, ..at_most("ground points", "per m²", [0.5, 0.1]) }.from(100, "points");
+pub(crate) const BARE_AREA: Rule =
+    at_most("covered area without ground within 5 m", "%", [10.0, 30.0]).from(100, "cells");
+pub(crate) const LOW_NOISE: Rule = at_most("low noise (7)", "%", [0.5, 2.0]).from(100, "returns");
+pub(crate) const HIGH_NOISE: Rule = at_most("high noise (18)", "%", [1.0, 5.0]).from(100, "returns");
+
 /// Rules of the page of a survey.
 ///
 /// Roughness: smooth surface repeatability of quality levels 2 and 3 (USGS, Lidar Base Specification,

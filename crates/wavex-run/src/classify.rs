@@ -20,10 +20,12 @@ use files::{ClassCounts, Cloud, LeftAlone, WriteFailure};
 use tiles::{Ground, Tiles};
 
 mod files;
+mod report;
 mod terrain;
 mod text;
 mod tiles;
 
+pub use report::{ClassifiedCloud, ClassifyReport, PointsLeftAlone};
 pub use terrain::{TerrainRequest, WrittenTerrain, write_terrain};
 pub use wavex_ground::filter::GroundSettings;
 pub use wavex_stages::terrain::Square;
@@ -382,7 +384,7 @@ fn finish(
     }
     rows.sort_by(|one, other| one.0.path.cmp(&other.0.path));
     if let Some(path) = request.report {
-        let report = serde_json::to_string_pretty(&text::report(request, &rows, &failures));
+        let report = serde_json::to_string_pretty(&report::report(request, &rows, &failures));
         let report = report.map_err(|error| Failure::Run(error.to_string()))?;
         files.push(crate::align::finished(path, &(report + "\n"))?);
     }

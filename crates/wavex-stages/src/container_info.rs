@@ -94,6 +94,7 @@ pub(crate) fn info_of(
         beam: None,
         beam_power: None,
         columns: Vec::new(),
+        has_heights_above_ground: false,
         sampling_interval_ns: header.sampling_interval_ns,
         odd_sample_shift: 0.0,
         full_scale_dn: header.full_scale_dn,

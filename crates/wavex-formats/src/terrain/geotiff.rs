@@ -1,4 +1,4 @@
-//! GeoTIFF height rasters: one band, north up.
+//! GeoTIFF height rasters: one band, or a chosen one, north up.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -20,10 +20,36 @@ const DENSEST: u64 = 4096;
 const LARGEST_CHUNK: u64 = 1 << 26;
 /// Smallest growth of the heights, as a fraction of their final number.
 const GROWTH: usize = 16;
+const GDAL_METADATA: Tag = Tag::Unknown(42112);
 const REMEDY: &str = "convert it to a north-up GeoTIFF with one band of heights";
 
-/// Reads a raster.
+/// Reads a raster of one band.
 pub(super) fn read(path: &Path) -> Result<Raster> {
+    read_band(path, None)
+}
+
+/// Descriptions of the bands, as GDAL and `wavex` store them; those without are empty.
+pub(super) fn band_descriptions(path: &Path) -> Result<Vec<String>> {
+    let bad = |error: TiffError| Error::unusable(path, format!("cannot read the GeoTIFF: {error}"), REMEDY);
+    let mut tiff = Decoder::new(BufReader::new(regular_file(path)?)).map_err(bad)?;
+    let bands = tiff.colortype().map_err(bad)?.num_samples();
+    let mut descriptions = vec![String::new(); usize::from(bands)];
+    let metadata = tiff.find_tag(GDAL_METADATA).map_err(bad)?.and_then(|value| value.into_string().ok());
+    for item in metadata.unwrap_or_default().split("<Item ").skip(1) {
+        let Some((attributes, rest)) = item.split_once('>') else { continue };
+        let sample = attributes.split_once("sample=\"").and_then(|(_, rest)| rest.split('"').next());
+        let band = sample.and_then(|sample| sample.parse::<usize>().ok());
+        if let Some(description) = band.and_then(|band| descriptions.get_mut(band))
+            && attributes.contains("role=\"description\"")
+        {
+            rest.split('<').next().unwrap_or_default().clone_into(description);
+        }
+    }
+    Ok(descriptions)
+}
+
+/// Reads a band from 0, or the only one.
+pub(super) fn read_band(path: &Path, band: Option<usize>) -> Result<Raster> {
     let file = regular_file(path)?;
     let length = file.metadata().map_err(Error::io(path, "open"))?.len();
     let bad = |error: TiffError| Error::unusable(path, format!("cannot read the GeoTIFF: {error}"), REMEDY);
@@ -34,8 +60,16 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     let (columns, rows) = tiff.dimensions().map_err(bad)?;
     let held = length.saturating_mul(DENSEST);
     let (columns, rows) = checked_size(path, u64::from(columns), u64::from(rows), held)?;
-    if !matches!(tiff.colortype().map_err(bad)?, ColorType::Gray(_)) {
-        return Err(Error::unusable(path, "the GeoTIFF has more than one band", REMEDY));
+    let colours = tiff.colortype().map_err(bad)?;
+    let bands = usize::from(colours.num_samples());
+    match band {
+        None if !matches!(colours, ColorType::Gray(_)) => {
+            return Err(Error::unusable(path, "the GeoTIFF has more than one band", REMEDY));
+        }
+        Some(band) if band >= bands => {
+            return Err(Error::unusable(path, format!("the GeoTIFF has no band {}", band + 1), REMEDY));
+        }
+        _ => {}
     }
     let mut numbers = |tag: Tag| match tiff.find_tag(tag).map_err(bad)? {
         Some(value) => value.into_f64_vec().map_err(bad),
@@ -66,17 +100,22 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     // The tie point is the corner or the centre of its cell.
     let half = if geokeys::is_point_raster(&keys) { 0.0 } else { 0.5 };
     let first_m = [east_m + (half - column) * east_step_m, north_m - (half - row) * south_step_m];
-    let heights_m = read_heights(&mut tiff, [columns, rows], nodata).map_err(|failure| match failure {
-        HeightsError::SampleType => {
-            Error::unusable(path, "the sample type of the GeoTIFF is not supported for heights", REMEDY)
-        }
-        HeightsError::Tiff(TiffError::LimitsExceeded) => Error::unusable(
-            path,
-            format!("a strip or tile of the GeoTIFF has over {largest_chunk} bytes"),
-            "write it with tiles",
-        ),
-        HeightsError::Tiff(error) => bad(error),
-    })?;
+    let heights_m =
+        read_heights(&mut tiff, [columns, rows], [band.unwrap_or(0), bands], nodata).map_err(|failure| {
+            match failure {
+                HeightsError::SampleType => Error::unusable(
+                    path,
+                    "the sample type of the GeoTIFF is not supported for heights",
+                    REMEDY,
+                ),
+                HeightsError::Tiff(TiffError::LimitsExceeded) => Error::unusable(
+                    path,
+                    format!("a strip or tile of the GeoTIFF has over {largest_chunk} bytes"),
+                    "write it with tiles",
+                ),
+                HeightsError::Tiff(error) => bad(error),
+            }
+        })?;
     let step_m = [east_step_m, south_step_m];
     Ok(Raster { columns, rows, first_m, step_m, heights_m, epsg: geokeys::epsg(&keys) })
 }
@@ -88,12 +127,13 @@ enum HeightsError {
     SampleType,
 }
 
-/// Reads the heights strip by strip or tile by tile.
+/// Reads the heights strip by strip or tile by tile: one of the bands, whose values follow each other in a cell.
 ///
 /// Their memory grows with the data read, so that a short file with a wrong size takes little.
 fn read_heights(
     tiff: &mut Decoder<BufReader<File>>,
     [columns, rows]: [usize; 2],
+    [first, bands]: [usize; 2],
     nodata: Option<f64>,
 ) -> std::result::Result<Vec<f32>, HeightsError> {
     let mut heights_m: Vec<f32> = Vec::new();
@@ -111,6 +151,7 @@ fn read_heights(
             let index = u32::try_from(band * per_band + number).unwrap_or(u32::MAX);
             let chunk = tiff.read_chunk(index).map_err(HeightsError::Tiff)?;
             let chunk = heights(chunk, nodata).ok_or(HeightsError::SampleType)?;
+            let chunk: Vec<f32> = chunk.into_iter().skip(first).step_by(bands.max(1)).collect();
             let first_column = number * width;
             let width = width.min(columns - first_column);
             for (row, from) in (first_row..end_row).zip(chunk.chunks_exact(width)) {

@@ -206,6 +206,38 @@ fn a_tiled_geotiff_has_its_heights_in_place() {
 }
 
 #[test]
+fn bands_are_read_one_by_one() {
+    let bands = ["height, m", "SD <m>", ""].map(str::to_owned).to_vec();
+    let grid =
+        RasterGrid { columns: 300, rows: 200, west: 100.0, north: 220.0, cell: 1.0, crs_wkt: None, bands };
+    let value = |column: usize, band: usize| (column + 1000 * band) as f32;
+    let mut writer = RasterWriter::new(grid, Cursor::new(Vec::new()));
+    for column in 0..2 {
+        let cell = |at: usize| value(column * TILE + at / 3 % TILE, at % 3);
+        writer.tile(0, column as u32, (0..TILE * TILE * 3).map(cell).collect()).unwrap();
+    }
+    let (mut spool, raster) = writer.finish().unwrap();
+    let mut bytes = Vec::new();
+    raster.assemble(&mut spool, &mut bytes).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dtm.tif");
+    std::fs::write(&path, &bytes).unwrap();
+    assert_eq!(Terrain::band_descriptions(&path).unwrap(), ["height, m", "SD &lt;m>", ""]);
+    for band in 0..3 {
+        let terrain = Terrain::open_band(&path, band).unwrap();
+        assert_eq!(terrain.size(), [300, 200]);
+        for (at, column) in [(0, 0), (299, 299), (300 * 199 + 256, 256)] {
+            assert_eq!(terrain.values()[at], value(column, band), "{at}");
+        }
+    }
+    let problem = |opened: Result<Terrain>| opened.unwrap_err().to_string();
+    assert!(problem(Terrain::open_band(&path, 3)).contains("the GeoTIFF has no band 4"));
+    assert!(problem(Terrain::open(&path)).contains("the GeoTIFF has more than one band"));
+    std::fs::write(&path, &bytes[..300]).unwrap();
+    assert!(Terrain::band_descriptions(&path).is_err() && Terrain::open_band(&path, 0).is_err());
+}
+
+#[test]
 fn a_strip_much_larger_than_its_file_is_refused() {
     let heights = vec![7.0; (1 << 23) + (1 << 12)];
     let mut bytes = Cursor::new(Vec::new());

@@ -92,6 +92,9 @@ pub struct InputInfo {
     /// Names of further values that a recording of large footprints has of each shot.
     #[serde(skip)]
     pub columns: Vec<&'static str>,
+    /// Whether points have heights above the ground.
+    #[serde(skip)]
+    pub has_heights_above_ground: bool,
     /// Amplitude table of the low-power channel: digitiser steps to dB.
     pub amplitude_low: Option<AmplitudeTable>,
     /// Amplitude table of the high-power channel: digitiser steps to dB.
@@ -155,6 +158,7 @@ impl Default for InputInfo {
             beam: None,
             beam_power: None,
             columns: Vec::new(),
+            has_heights_above_ground: false,
             amplitude_low: None,
             amplitude_high: None,
             range_low: None,

@@ -78,6 +78,10 @@ pub struct Return {
     pub withheld: bool,
     /// LAS class: 0; of outliers 7 (low) or 18 (high).
     pub class: u8,
+    /// Height above the ground, m.
+    ///
+    /// NaN if unknown, as before `classify`.
+    pub height_above_ground_m: f32,
 }
 
 impl Return {
@@ -120,6 +124,7 @@ impl Default for Return {
             intensity_sd: f64::NAN,
             withheld: false,
             class: 0,
+            height_above_ground_m: f32::NAN,
         }
     }
 }

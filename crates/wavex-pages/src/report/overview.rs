@@ -19,9 +19,10 @@ use wavex_line::stage::{DecomposedLine, FitShot, Result, RunObserver, RunObserve
 mod flight;
 mod footprints;
 mod gallery;
+pub(in crate::report) mod ground;
 pub(in crate::report) mod histogram;
 mod lines;
-mod map;
+pub(in crate::report) mod map;
 mod points;
 mod times;
 pub(crate) mod view;
@@ -32,6 +33,7 @@ pub use crate::plot::Picture;
 pub use flight::Flight;
 pub use footprints::Footprints;
 pub use gallery::{ShownKind, ShownReturn, ShownShot};
+pub use ground::GroundSummary;
 pub use histogram::QuantityHistogram;
 pub use lines::LineGroups;
 pub use map::{Densities, Density, MapLine, MapPicture};
@@ -74,6 +76,9 @@ pub struct Overview {
     /// Ground, canopy and sensitivity, if the shots have large footprints.
     #[serde(default)]
     pub footprints: Option<Footprints>,
+    /// Ground points, if the ground was searched.
+    #[serde(default)]
+    pub ground: Option<GroundSummary>,
     /// Selected waveforms with their fits.
     pub waveforms: Vec<ShownShot>,
 }
@@ -197,6 +202,7 @@ struct OverviewCollector {
     flight: Option<Flight>,
     weak_returns: weak_returns::WeakReturnCounts,
     footprints: footprints::FootprintCounts,
+    ground: ground::GroundCounts,
 }
 
 impl Default for OverviewCollector {
@@ -217,6 +223,7 @@ impl Default for OverviewCollector {
             flight: None,
             weak_returns: weak_returns::WeakReturnCounts::default(),
             footprints: footprints::FootprintCounts::default(),
+            ground: ground::GroundCounts::default(),
         }
     }
 }
@@ -228,6 +235,7 @@ impl OverviewCollector {
         self.points.add(scan_line);
         self.times.add(scan_line);
         self.footprints.add(scan_line);
+        self.ground.add(scan_line);
         let Some(returns) = scan_line.returns() else { return };
         for quantity in &mut self.quantities {
             // Copies of waveforms are no measurements of their own.
@@ -257,6 +265,7 @@ impl OverviewCollector {
             flight: self.flight,
             weak_returns: self.weak_returns.finish(),
             footprints: self.footprints.finish(),
+            ground: self.ground.finish(),
             waveforms: gallery.finish(),
         }
     }

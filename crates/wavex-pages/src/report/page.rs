@@ -16,6 +16,7 @@ mod details;
 pub(super) mod drift;
 mod flight;
 mod footprints;
+mod ground;
 mod results;
 mod stages_and_sensor;
 mod waveforms;
@@ -180,6 +181,7 @@ fn parts(report: &Value, input: &Value, overview: Option<&Overview>, number: usi
     if let Some(overview) = overview {
         parts.push(content::extent(overview, input));
         parts.push(content::from_above(overview, report, input, number));
+        parts.extend(ground::part(overview, report, input, number));
         parts.push(flight::part(overview));
         parts.push(of_returns(overview));
         parts.extend(of_zones(overview));

@@ -10,6 +10,7 @@ use super::extent::{box_of, usual_box};
 use super::points::{ViewPoint, ViewPoints};
 use super::session::{Placing, Session, SessionState};
 use super::shots::{names, number_or_null};
+use wavex_ground::point::Class;
 use wavex_line::scan_line::flags;
 
 /// Most points of an answer with positions or values.
@@ -176,17 +177,21 @@ pub(super) fn point(session: &Session, generation: u32, index: usize) -> CloudAn
     }))
 }
 
-/// Points within half a width of a line: distance along it, height, value and index of each.
-pub(super) fn profile(
-    session: &Session,
-    generation: u32,
-    [from, to]: [[f64; 2]; 2],
-    width_m: f64,
-    attribute: &Attribute,
-) -> CloudAnswer<Vec<u8>> {
-    let placing = session.placing().ok_or(Refused::Outdated)?;
-    let points = session.points();
-    let all = current(&points, generation)?;
+/// Line of a profile.
+pub(super) struct ProfileLine {
+    /// Both ends, in the coordinates of the page.
+    pub(super) ends: [[f64; 2]; 2],
+    pub(super) width_m: f64,
+}
+
+/// Points within half a width of a line: distance along it, and index; with the length of the line.
+fn points_of_line(
+    line: &ProfileLine,
+    placing: &Placing,
+    points: &ViewPoints,
+    all: &[ViewPoint],
+) -> CloudAnswer<(Vec<(f32, u32)>, f64)> {
+    let ([from, to], width_m) = (line.ends, line.width_m);
     let relative = |place: [f64; 2]| [0, 1].map(|i| place[i] - placing.origin_m[i]);
     let (from, to) = (relative(from), relative(to));
     let length_m = libm::hypot(to[0] - from[0], to[1] - from[1]);
@@ -207,6 +212,20 @@ pub(super) fn profile(
             found.push((along_m as f32, index as u32));
         }
     }
+    Ok((found, length_m))
+}
+
+/// Points within half a width of a line: distance along it, height, value and index of each.
+pub(super) fn profile(
+    session: &Session,
+    generation: u32,
+    line: &ProfileLine,
+    attribute: &Attribute,
+) -> CloudAnswer<Vec<u8>> {
+    let placing = session.placing().ok_or(Refused::Outdated)?;
+    let points = session.points();
+    let all = current(&points, generation)?;
+    let (found, _) = points_of_line(line, &placing, &points, all)?;
     let total = found.len();
     // Points of a node are in random order, so that every n-th is a fair sample.
     let step = total.div_ceil(MAX_PROFILE).max(1);
@@ -222,6 +241,39 @@ pub(super) fn profile(
     bytes.extend(found.iter().flat_map(|&(_, index)| value(of(index)).to_le_bytes()));
     bytes.extend(found.iter().flat_map(|(_, index)| index.to_le_bytes()));
     Ok(bytes)
+}
+
+/// Number of steps in which the ground along a line is averaged.
+const GROUND_STEPS: usize = 300;
+/// Number of steps without ground at which its line is interrupted.
+const GROUND_GAP: usize = 15;
+
+/// Ground along a line: pairs of distance and median height of the ground points, in parts without larger gaps.
+pub(super) fn ground_line(session: &Session, generation: u32, line: &ProfileLine) -> CloudAnswer<Value> {
+    let placing = session.placing().ok_or(Refused::Outdated)?;
+    let points = session.points();
+    let all = current(&points, generation)?;
+    let (found, length_m) = points_of_line(line, &placing, &points, all)?;
+    let mut steps: BTreeMap<usize, Vec<(f32, f32)>> = BTreeMap::new();
+    for (along_m, index) in found {
+        let point = &all[index as usize];
+        if point.class == Class::Ground as u8 && !point.withheld {
+            let step = (f64::from(along_m) / length_m * GROUND_STEPS as f64) as usize;
+            steps.entry(step).or_default().push((point.position_m[2], along_m));
+        }
+    }
+    let (mut parts, mut last): (Vec<Vec<[f64; 2]>>, _) = (Vec::new(), None);
+    for (step, mut found) in steps {
+        let middle = found.len() / 2;
+        let (_, (height_m, along_m), _) = found.select_nth_unstable_by(middle, |a, b| a.0.total_cmp(&b.0));
+        let place = [f64::from(*along_m), f64::from(*height_m) + placing.origin_m[2]];
+        match parts.last_mut().filter(|_| last.is_some_and(|last| step - last <= GROUND_GAP)) {
+            Some(part) => part.push(place),
+            None => parts.push(vec![place]),
+        }
+        last = Some(step);
+    }
+    Ok(json!({ "ground": parts }))
 }
 
 /// A search for points.

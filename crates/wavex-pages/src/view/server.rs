@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde_json::{Value, json};
 
 use super::attributes::{Attribute, Condition};
-use super::cloud::{self, Refused, Search};
+use super::cloud::{self, ProfileLine, Refused, Search};
 use super::compare;
 use super::http::{self, HttpResponse, Request, Status};
 use super::job_text;
@@ -205,16 +205,13 @@ fn route(session: &Session, path: &str, query: &str) -> Result<AnswerContent, An
             attribute()?,
         )?),
         "point" => AnswerContent::json(&cloud::point(session, generation()?, query.number("index")?)?),
-        "profile" => {
-            let line = [query.place("from")?, query.place("to")?];
-            AnswerContent::binary(cloud::profile(
-                session,
-                generation()?,
-                line,
-                query.number("width_m")?,
-                attribute()?,
-            )?)
-        }
+        "profile" => AnswerContent::binary(cloud::profile(
+            session,
+            generation()?,
+            &profile_line(&query)?,
+            attribute()?,
+        )?),
+        "ground" => AnswerContent::json(&cloud::ground_line(session, generation()?, &profile_line(&query)?)?),
         "find" => {
             let search = Search {
                 sort: Attribute::named(query.get("sort").unwrap_or("deviation_ratio"))?,
@@ -250,6 +247,11 @@ fn route(session: &Session, path: &str, query: &str) -> Result<AnswerContent, An
             None => AnswerContent::error(Status::NOT_FOUND, "no such page"),
         },
     })
+}
+
+fn profile_line(query: &Query) -> Result<ProfileLine, String> {
+    let ends = [query.place("from")?, query.place("to")?];
+    Ok(ProfileLine { ends, width_m: query.number("width_m")? })
 }
 
 /// Bit of a flag by its name.

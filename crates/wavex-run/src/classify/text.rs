@@ -1,13 +1,11 @@
-//! Results of a classification for people and programs.
+//! Results of a classification for people.
 
 use std::fmt::Write;
 
-use serde_json::{Value, json};
-use wavex_engine::build;
 use wavex_ground::point::Class;
 
+use super::CloudResult;
 use super::files::{ClassCounts, Cloud};
-use super::{ClassifyRequest, CloudResult};
 
 /// Name of a class (LAS 1.4 R15, tables 16 and 17).
 fn name(class: u8) -> &'static str {
@@ -36,7 +34,7 @@ fn name(class: u8) -> &'static str {
 }
 
 /// Part of points in percent; 0 of no points.
-fn percent(n: u64, of: u64) -> f64 {
+pub(super) fn percent(n: u64, of: u64) -> f64 {
     100.0 * n as f64 / of.max(1) as f64
 }
 
@@ -44,7 +42,7 @@ fn plural(n: u64) -> &'static str {
     if n == 1 { "" } else { "s" }
 }
 
-fn n_ground(counts: &ClassCounts) -> u64 {
+pub(super) fn n_ground(counts: &ClassCounts) -> u64 {
     counts[usize::from(Class::Ground as u8)]
 }
 
@@ -104,41 +102,4 @@ pub(super) fn notes(cloud: &Cloud, result: &CloudResult) -> Vec<String> {
         ));
     }
     notes
-}
-
-/// Report for programs.
-pub(super) fn report(
-    request: &ClassifyRequest<'_>,
-    rows: &[(&Cloud, CloudResult)],
-    failures: &[String],
-) -> Value {
-    let classes = |counts: &ClassCounts| {
-        let found = (0..256).zip(counts).filter(|(_, n)| **n > 0);
-        found.map(|(class, n)| (class.to_string(), Value::from(*n))).collect::<serde_json::Map<_, _>>()
-    };
-    let clouds = rows.iter().map(|(cloud, result)| {
-        json!({
-            "file": cloud.path.display().to_string(),
-            "output": cloud.output.display().to_string(),
-            "points": result.copy.n_points,
-            "changed_points": result.copy.n_changed,
-            "ground_ratio": percent(n_ground(&result.after), result.copy.n_points) / 100.0,
-            "classes_before": classes(&result.before),
-            "classes_after": classes(&result.after),
-            "left_alone": {
-                "withheld_or_synthetic": result.left.n_withheld,
-                "noise": result.left.n_noise,
-                "kept_classes": result.left.n_kept,
-                "overlap": result.left.n_overlap,
-            },
-        })
-    });
-    json!({
-        "version": 1,
-        "wavex": build::VERSION,
-        "commit": build::COMMIT,
-        "kept_classes": request.kept_classes,
-        "clouds": clouds.collect::<Vec<_>>(),
-        "failures": failures,
-    })
 }

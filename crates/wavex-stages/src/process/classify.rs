@@ -1,20 +1,26 @@
 //! `classify`: ground and noise among points.
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use wavex_ground::filter::{GroundSettings, classify_ground};
+use wavex_ground::height::heights_above_ground;
 use wavex_ground::point::{Class, CloudPoint};
 use wavex_ground::rays::{NoiseSettings, mark_noise};
 use wavex_line::keys::{InvalidKey, above};
-use wavex_line::scan_line::{Kind, LineStats, Return, ScanLine};
+use wavex_line::scan_line::{Content, Frame, InputInfo, Kind, ScanLine};
 use wavex_line::stage::{Config, Output, Result, RunContext, StageSpec, Transform, TransformConfig};
 
-use super::line_blocks::{LineBlocks, mark, set_classes};
+use super::line_blocks::{LineBlocks, mark};
 
 pub(super) mod cloud;
 
 use cloud::CloudOfMap;
+
+/// Mean radius of the earth (IUGG 1980), m.
+const RADIUS_M: f64 = 6_371_008.8;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<Classify>("classify", &[Kind::Points]);
@@ -34,6 +40,12 @@ pub const STAGE: StageSpec = StageSpec::transform::<Classify>("classify", &[Kind
 /// Returns that an earlier stage has withheld keep their class and are not used. Without map coordinates, lines pass through
 /// unchanged, with a warning. Water is not recognised.
 ///
+/// With `height_above_ground`, each point gets its height above the triangulated ground points of its block, in metres; it is
+/// unknown outside the triangulation. `write_las` and `write_table` write it.
+///
+/// `AGL` of the line statistics becomes the median height of the sensor above the ground points of the line, if it has any.
+/// Stages before this one cannot use the ground: it is known only after `georeference`, and a block later.
+///
 /// Counts `np_air np_low`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -42,6 +54,8 @@ pub struct Classify {
     pub noise: bool,
     /// Find the ground.
     pub ground: bool,
+    /// Compute the height of each point above the ground.
+    pub height_above_ground: bool,
     /// Length of a block along the flight, m.
     #[schemars(range(min = 10.0, max = 100000.0))]
     pub block_m: f64,
@@ -52,7 +66,7 @@ pub struct Classify {
 
 impl Default for Classify {
     fn default() -> Classify {
-        Classify { noise: true, ground: true, block_m: 250.0, margin_m: 100.0 }
+        Classify { noise: true, ground: true, height_above_ground: false, block_m: 250.0, margin_m: 100.0 }
     }
 }
 
@@ -62,22 +76,25 @@ impl Config for Classify {
             self.noise || self.ground,
             "ground",
             "with `noise = false` it must be `true`; otherwise the stage does nothing",
+        )?;
+        InvalidKey::unless(
+            self.ground || !self.height_above_ground,
+            "height_above_ground",
+            "it needs `ground = true`: without ground there are no heights above it",
         )
     }
 }
 
 impl TransformConfig for Classify {
     fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
-        let (noise, ground) = (self.noise, self.ground);
+        let (noise, ground, has_heights) = (self.noise, self.ground, self.height_above_ground);
         let blocks = LineBlocks::new(
             [self.block_m, self.margin_m],
             run.pool.clone(),
-            Box::new(move |points| classes(points, noise, ground)),
-            Box::new(move |scan_line, classes| {
-                set_classes(scan_line, classes, |r, class, stats| set(r, class, stats, ground));
-            }),
+            Box::new(move |points| judged(points, classes(points, noise, ground), has_heights)),
+            Box::new(move |scan_line, judged| set(scan_line, judged, ground)),
         );
-        Ok(Box::new(Classifier { blocks, clouds: CloudOfMap::default() }))
+        Ok(Box::new(Classifier { blocks, clouds: CloudOfMap::default(), has_heights, input: None }))
     }
 }
 
@@ -97,25 +114,82 @@ fn classes(points: &[CloudPoint], noise: bool, ground: bool) -> Vec<Class> {
     classes
 }
 
-/// Sets the class of a return.
-fn set(r: &mut Return, class: Class, stats: &mut LineStats, ground: bool) {
-    if r.withheld {
-        return;
+/// What is found of a point.
+#[derive(Clone, Copy)]
+struct JudgedPoint {
+    class: Class,
+    /// NaN if unknown.
+    height_above_ground_m: f32,
+    /// Upward part of the unit vector from the sensor.
+    beam_up: f32,
+}
+
+/// Adds heights to classes, if wanted.
+fn judged(points: &[CloudPoint], classes: Vec<Class>, has_heights: bool) -> Vec<JudgedPoint> {
+    let heights_m = if has_heights { heights_above_ground(points, &classes) } else { Vec::new() };
+    let heights_m = heights_m.into_iter().chain(std::iter::repeat(f32::NAN));
+    let all = points.iter().zip(classes).zip(heights_m);
+    all.map(|((point, class), height_above_ground_m)| JudgedPoint {
+        class,
+        height_above_ground_m,
+        beam_up: point.beam[2],
+    })
+    .collect()
+}
+
+/// Sets classes and heights of the returns of a line, and its height above ground.
+fn set(scan_line: &mut ScanLine, judged: &[JudgedPoint], ground: bool) {
+    let stats = &mut scan_line.stats;
+    let (Content::Returns(returns) | Content::Points(returns, _)) = &mut scan_line.content else { return };
+    // Height of the sensor above its tangential plane at the return.
+    let half_curvature = if scan_line.input.frame == Frame::Earth { 0.5 / RADIUS_M } else { 0.0 };
+    let mut sensor_heights_m = Vec::new();
+    for (r, of) in returns.iter_mut().zip(judged) {
+        r.height_above_ground_m = of.height_above_ground_m;
+        if r.withheld {
+            continue;
+        }
+        match of.class {
+            Class::LowNoise | Class::HighNoise => mark(r, of.class, stats),
+            class if ground => r.class = class as u8,
+            _ => {}
+        }
+        if of.class == Class::Ground {
+            let fall_m = -r.range_m * f64::from(of.beam_up);
+            sensor_heights_m.push(fall_m - half_curvature * (r.range_m * r.range_m - fall_m * fall_m));
+        }
     }
-    match class {
-        Class::LowNoise | Class::HighNoise => mark(r, class, stats),
-        class if ground => r.class = class as u8,
-        _ => {}
+    if let Some(middle) = sensor_heights_m.len().checked_sub(1).filter(|_| scan_line.input.origin_is_sensor) {
+        let (_, agl_m, _) = sensor_heights_m.select_nth_unstable_by(middle / 2, f64::total_cmp);
+        stats.agl_m = Some(*agl_m).filter(|agl_m| agl_m.is_finite());
     }
 }
 
 struct Classifier {
-    blocks: LineBlocks,
+    blocks: LineBlocks<JudgedPoint>,
     clouds: CloudOfMap,
+    has_heights: bool,
+    /// Metadata of the incoming lines, and of the outgoing lines.
+    input: Option<[Arc<InputInfo>; 2]>,
+}
+
+impl Classifier {
+    /// Metadata of points with heights above the ground.
+    fn with_heights(&mut self, input: &Arc<InputInfo>) -> Arc<InputInfo> {
+        match &self.input {
+            Some([known, with_heights]) if Arc::ptr_eq(known, input) => Arc::clone(with_heights),
+            _ => {
+                let with_heights =
+                    Arc::new(InputInfo { has_heights_above_ground: true, ..InputInfo::clone(input) });
+                self.input = Some([Arc::clone(input), Arc::clone(&with_heights)]);
+                with_heights
+            }
+        }
+    }
 }
 
 impl Transform for Classifier {
-    fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
+    fn process(&mut self, mut line: ScanLine, out: &mut Output) -> Result<()> {
         let Some(cloud) = self.clouds.of(&line) else {
             out.cx.warn("points that are not in a map cannot be classified: give [job.geometry] a `trajectory` and a `crs`");
             self.blocks.finish(out)?;
@@ -123,6 +197,9 @@ impl Transform for Classifier {
         };
         let place_m = line.emissions.get(line.emissions.len() / 2).map(|middle| middle.origin_m);
         let unit_m = line.input.map_unit_m();
+        if self.has_heights {
+            line.input = self.with_heights(&line.input);
+        }
         self.blocks.push(line, cloud, place_m.map(|place| place.map(|x| unit_m * x)), out)
     }
 

@@ -12,19 +12,19 @@ use wavex_line::stage::{Output, Result};
 /// Working memory of a classification for each point, bytes.
 const WORK_BYTES: usize = 150;
 
-/// Classifies all points of a block.
-pub(super) type Classify = Box<dyn Fn(&[CloudPoint]) -> Vec<Class> + Send + Sync>;
+/// Judges all points of a block, by their classes `T`, or more.
+pub(super) type Classify<T> = Box<dyn Fn(&[CloudPoint]) -> Vec<T> + Send + Sync>;
 /// Sets the classes of a line and counts them.
-pub(super) type Apply = Box<dyn Fn(&mut ScanLine, &[Class]) + Send>;
+pub(super) type Apply<T> = Box<dyn Fn(&mut ScanLine, &[T]) + Send>;
 
 /// Pending lines, and emitted lines whose points are needed for others.
 ///
 /// The ends of blocks are multiples of `block_m` of the way since the first line, so they depend on the data alone.
-pub(super) struct LineBlocks {
+pub(super) struct LineBlocks<T = Class> {
     pub(super) block_m: f64,
     pub(super) margin_m: f64,
-    pub(super) classify: Classify,
-    pub(super) apply: Apply,
+    pub(super) classify: Classify<T>,
+    pub(super) apply: Apply<T>,
     pub(super) pool: Option<Arc<ThreadPool>>,
     lines: VecDeque<HeldLine>,
     /// Index of the first line in `lines` not yet classified.
@@ -43,13 +43,13 @@ struct HeldLine {
     bytes: usize,
 }
 
-impl LineBlocks {
+impl<T: Send> LineBlocks<T> {
     pub(super) fn new(
         [block_m, margin_m]: [f64; 2],
         pool: Option<Arc<ThreadPool>>,
-        classify: Classify,
-        apply: Apply,
-    ) -> LineBlocks {
+        classify: Classify<T>,
+        apply: Apply<T>,
+    ) -> LineBlocks<T> {
         LineBlocks {
             block_m,
             margin_m,

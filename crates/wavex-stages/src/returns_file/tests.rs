@@ -115,6 +115,8 @@ fn line() -> ScanLine {
         intensity_sd: n(),
         withheld,
         class: n() as u8,
+        // Not in the file: `classify` comes later.
+        height_above_ground_m: f32::NAN,
     };
     let returns = vec![
         found(0, ReturnChannel::Low, false),
@@ -181,7 +183,8 @@ fn every_field_is_restored() {
     let read = place.read().unwrap();
     let [again] = read.as_slice() else { panic!("{read:?}") };
     assert_eq!(again.emissions, line.emissions);
-    assert_eq!(again.returns(), line.returns());
+    // Unknown numbers are not equal.
+    assert_eq!(format!("{:?}", again.returns()), format!("{:?}", line.returns()));
     assert_eq!((&again.profiles, &again.stats, again.line), (&line.profiles, &line.stats, 12));
     let named = InputInfo { path: place.path(), stem: "a".into(), ..info() };
     assert_eq!(*again.input, named);

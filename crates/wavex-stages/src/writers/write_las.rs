@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::reading::recording::possible_scales;
 use crate::stac;
-use attributes::{ReturnAttribute, attributes_of};
+use attributes::{HEIGHT_ABOVE_GROUND, ReturnAttribute, attributes_of};
 use files::{CompanionFiles, StacFile};
 use identity::{PointSourceKey, PointSourceRule};
 pub use keys::{AttributeLayout, IndexKey, VersionKey, WavePacketsKey};
@@ -55,7 +55,8 @@ pub const STAGE: StageSpec =
 /// The standard layout has the extra attributes `Amplitude`, `Reflectance`, `Pulse width`,
 /// `Deviation`, `Raw amplitude`, `Width ratio`, `Target thickness`, `Range SD`, `Amplitude SD`,
 /// `Width SD`, `Thickness SD`, `Intensity SD`, `Total uncertainty`, `Channel`, `MTA zone` and
-/// `Quality flags`, with units in their descriptions, limits and no-data values. The point source
+/// `Quality flags`, with units in their descriptions, limits and no-data values; with
+/// `height_above_ground` of `classify` also `Height above ground`. The point source
 /// ID is the flight line. Outliers are withheld and of class 7 (low) or 18 (high); of class 7 before
 /// LAS 1.4. `docs/reference/las.md` lists types and scales.
 ///
@@ -211,7 +212,7 @@ impl SinkConfig for WriteLas {
     fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
         let file = run.create(&self.path)?;
         Ok(Box::new(LasWriter {
-            attributes: self.attributes(),
+            attributes: self.attributes(false),
             config: self.clone(),
             pool: run.pool.clone(),
             index: (self.index == IndexKey::File).then(|| run.create(&self.beside().index)).transpose()?,
@@ -236,12 +237,15 @@ impl WriteLas {
         self.point_source_id.unwrap_or(PointSourceKey::Rule(usual))
     }
 
-    /// Extra attributes to write, in the order of the layout.
-    fn attributes(&self) -> Vec<ReturnAttribute> {
+    /// Extra attributes to write, in the order of the layout; the points may have heights above the ground.
+    fn attributes(&self, has_heights: bool) -> Vec<ReturnAttribute> {
         if !self.extra_attributes {
             return Vec::new();
         }
         let mut all = attributes_of(self.attribute_layout, self.uncertainty);
+        if self.attribute_layout == AttributeLayout::Standard && (has_heights || self.attributes.is_some()) {
+            all.push(HEIGHT_ABOVE_GROUND);
+        }
         if let Some(names) = &self.attributes {
             all.retain(|attribute| names.iter().any(|name| name == attribute.stored.name));
         }
@@ -256,7 +260,10 @@ impl WriteLas {
             "attributes",
             "`extra_attributes = false` leaves out all: remove one of both",
         )?;
-        let layout = attributes_of(self.attribute_layout, true);
+        let mut layout = attributes_of(self.attribute_layout, true);
+        if self.attribute_layout == AttributeLayout::Standard {
+            layout.push(HEIGHT_ABOVE_GROUND);
+        }
         let known: Vec<&str> = layout.iter().map(|attribute| attribute.stored.name).collect();
         let unknown = names.iter().find(|name| !known.contains(&name.as_str()));
         let problem =
@@ -331,6 +338,7 @@ impl LasWriter {
         if let LasState::Empty(_) = self.state
             && let LasState::Empty(file) = std::mem::replace(&mut self.state, LasState::Broken)
         {
+            self.attributes = self.config.attributes(input.has_heights_above_ground);
             self.state = LasState::Open(Box::new(self.header(file, input, first, time_s)?));
         }
         Ok(())

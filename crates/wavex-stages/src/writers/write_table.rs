@@ -31,7 +31,7 @@ pub const STAGE: StageSpec = StageSpec::sink::<WriteTable>("write_table", &[Kind
 /// mta_zone, range_m, range_sd_m, time_of_flight_ns, time_of_flight_sd_ns, amplitude_dn,
 /// amplitude_sd_dn, amplitude_db, width_ratio, width_ratio_sd, fwhm_ns, thickness_m,
 /// thickness_sd_m, deviation_ratio, intensity, intensity_sd, flags, withheld, class, x, y, z,
-/// total_uncertainty_m. `schemas/return_table.json` gives their types, units and meanings, which are
+/// total_uncertainty_m, height_above_ground_m. `schemas/return_table.json` gives their types, units and meanings, which are
 /// also metadata of the columns. gps_time_s, mta_zone and
 /// amplitude_db are null if unknown; x, y and z are null before `georeference`; other unknown
 /// quantities are NaN.

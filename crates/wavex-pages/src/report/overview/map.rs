@@ -47,6 +47,12 @@ pub struct MapPicture {
     /// Zones of the first and last colour.
     #[serde(default)]
     pub zone_range: [f64; 2],
+    /// Shaded lowest ground of the cells; absent without ground.
+    #[serde(default)]
+    pub ground: Option<Picture>,
+    /// Heights that 1 % and 99 % of these cells do not exceed, in the unit of the heights.
+    #[serde(default)]
+    pub ground_range: [f64; 2],
     /// Median density of the cells with points, points per square unit.
     pub median_density: f64,
     /// Densities per square metre.
@@ -132,6 +138,36 @@ const FEW_CELLS: i64 = 24;
 /// Maximum fraction of the points outside each side of the map.
 const OUTSIDE: f64 = 0.0005;
 
+/// Heights are multiplied by this before they are shaded: hills of some metres must be visible.
+pub(in crate::report) const EXAGGERATION: f64 = 3.0;
+/// East, north and up of the unit vector towards the light: north-west, 45° above the horizon.
+const LIGHT: [f64; 3] = [-0.5, 0.5, std::f64::consts::FRAC_1_SQRT_2];
+
+/// Brightness of cells by their slope; rows from the top, with the size of a cell in the unit of the heights.
+fn shades(heights: &[Option<f64>], columns: usize, size: [f64; 2]) -> Vec<Option<f64>> {
+    let rows = heights.len() / columns.max(1);
+    let height = |row: usize, column: usize| heights.get(row * columns + column).copied().flatten();
+    // Slope from the neighbours before and after a cell; one of them or both may be unknown.
+    let slope = |here: f64, before: Option<f64>, after: Option<f64>, size: f64| match (before, after) {
+        (Some(before), Some(after)) => (after - before) / (2.0 * size),
+        (None, Some(after)) => (after - here) / size,
+        (Some(before), None) => (here - before) / size,
+        (None, None) => 0.0,
+    };
+    let shade = |(row, column): (usize, usize)| {
+        let here = height(row, column)?;
+        let west = column.checked_sub(1).and_then(|column| height(row, column));
+        let east = (column + 1 < columns).then(|| height(row, column + 1)).flatten();
+        let north = row.checked_sub(1).and_then(|row| height(row, column));
+        let south = height(row + 1, column);
+        let to_east = EXAGGERATION * slope(here, west, east, size[0]);
+        let to_north = EXAGGERATION * slope(here, south, north, size[1]);
+        let length = (to_east * to_east + to_north * to_north + 1.0).sqrt();
+        Some(((LIGHT[2] - LIGHT[0] * to_east - LIGHT[1] * to_north) / length).max(0.0))
+    };
+    (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))).map(shade).collect()
+}
+
 impl MapGrid {
     /// Returns the map; `None` without points.
     pub(super) fn finish(mut self) -> Option<MapPicture> {
@@ -159,12 +195,23 @@ impl MapGrid {
             .any(|cell| cell.zone_steps > 0)
             .then(|| Picture::of(&mean(|cell| cell.zone_steps), columns as usize, &HEIGHTS));
         let zone_range = zones.as_ref().map_or([0.0; 2], |(_, range)| *range);
+        let ground: Vec<Option<f64>> =
+            cells.iter().map(|cell| cell.ground_steps.map(|steps| steps as f64 / STEPS)).collect();
         let inside: u64 = cells.iter().map(|cell| cell.points).sum();
         let all: u64 = self.cells.iter().map(|cell| cell.points).sum();
         let edge = self.edge();
         let (west, south) = (x[0] as f64 * edge, y[0] as f64 * edge);
         let middle = 0.5 * (y[0] + y[1] + 1) as f64 * edge;
         let cell_m2 = edge * edge * view.square_unit_m2(middle);
+        let ground_range = Picture::of(&ground, columns as usize, &INTENSITIES).1;
+        // Degrees have heights in metres; otherwise all coordinates have one unit.
+        let cells_m = match view.axes() {
+            MapAxes::Degrees => view.units_m(middle).map(|unit_m| unit_m * edge),
+            MapAxes::Coordinates | MapAxes::Plane => [edge; 2],
+        };
+        let shades = shades(&ground, columns as usize, cells_m);
+        let ground = ground.iter().any(Option::is_some);
+        let ground = ground.then(|| Picture::within(&shades, columns as usize, &INTENSITIES, [0.0, 1.0]));
         let scan_line = |(line, places): (u32, Vec<[f64; 2]>)| MapLine {
             line,
             places: places.into_iter().flat_map(|[x, y]| [(x - west) / edge, (y - south) / edge]).collect(),
@@ -185,6 +232,8 @@ impl MapGrid {
             intensity_range,
             zones: zones.map(|(picture, _)| picture),
             zone_range,
+            ground,
+            ground_range,
             median_density: self.median_points(bulk) as f64 / (edge * edge),
             densities: Some(Densities::of(&cells, columns as usize, cell_m2)),
             lines: self.lines.into_iter().map(scan_line).collect(),
@@ -327,6 +376,41 @@ mod tests {
         assert_eq!(filled([2.0, 2.0]), Some((2.0, 0.25)));
         // Lines 3 m apart: cells between them stay empty until they are larger than that.
         assert_eq!(filled([1.0, 3.0]).map(|(cell, _)| cell), Some(4.0));
+    }
+
+    #[test]
+    fn ground_is_shaded_from_the_north_west() {
+        let plane = |east: f64, north: f64| -> Vec<Option<f64>> {
+            let cell = |i: i32| Some(2.0 * (f64::from(i % 3) * east - f64::from(i / 3) * north));
+            (0..9).map(cell).collect()
+        };
+        let of = |heights: &[Option<f64>]| shades(heights, 3, [2.0; 2]);
+        let [flat, towards, away] = [(0.0, 0.0), (0.2, -0.2), (-0.2, 0.2)].map(|(east, north)| {
+            let shades = of(&plane(east, north));
+            assert!(shades.iter().all(|shade| (shade.unwrap() - shades[0].unwrap()).abs() < 1e-12));
+            shades[4].unwrap()
+        });
+        assert!(away < flat && flat < towards && towards <= 1.0, "{away} {flat} {towards}");
+        let mut gaps = plane(0.2, -0.2);
+        [0, 3, 5, 7].into_iter().for_each(|i| gaps[i] = None);
+        let shades = of(&gaps);
+        assert_eq!((shades[0], shades[3]), (None, None));
+        assert!(shades[4].unwrap() > flat && shades[6] == Some(flat), "{shades:?}");
+    }
+
+    #[test]
+    fn the_map_has_the_lowest_ground_of_each_cell() {
+        let mut with_ground = MapGrid::default();
+        let returns = [1, 2, 2].map(|class| Return { class, ..Return::default() });
+        with_ground.add_line(
+            0,
+            &InputInfo::default(),
+            &returns,
+            &[[0.5, 0.5, 1.0], [0.5, 0.5, 5.0], [0.5, 0.5, 4.0]],
+        );
+        let found = with_ground.finish().unwrap();
+        assert_eq!((found.ground.is_some(), found.ground_range), (true, [4.0, 4.0]));
+        assert_eq!(grid(&[[0.5, 0.5, 1.0]]).finish().unwrap().ground, None);
     }
 
     #[test]

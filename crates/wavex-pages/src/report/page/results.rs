@@ -153,6 +153,14 @@ impl<'m> MapView<'m> {
         Some(self.coloured(id, picture, &HEIGHTS, self.map.zone_range, "MTA zone"))
     }
 
+    /// Shaded ground; `None` without ground.
+    pub(super) fn ground(&self, id: &str) -> Option<String> {
+        let mut svg = Svg::new();
+        self.frame.image(&mut svg, id, self.map.ground.as_ref()?);
+        self.frame.grid(&mut svg);
+        Some(self.frame.finish(svg, "Shaded ground"))
+    }
+
     /// Draws some scan lines over the image with the id `below`.
     pub(super) fn swath(&self, below: &str) -> Option<String> {
         let map = self.map;

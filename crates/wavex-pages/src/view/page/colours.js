@@ -33,13 +33,21 @@ const LAS_CLASSES = [
   "medium vegetation",
   "high vegetation",
   "building",
-  "low point",
+  "low noise",
   "reserved",
   "water",
   "rail",
   "road surface",
   "overlap",
+  "wire guard",
+  "wire conductor",
+  "transmission tower",
+  "wire connector",
+  "bridge deck",
+  "high noise",
 ];
+/** Indices of the colours of LAS classes, the same in every cloud; other classes follow in turn. */
+const LAS_COLOURS = { 1: 7, 2: 1, 3: 6, 4: 2, 5: 2, 6: 4, 7: 3, 9: 0, 18: 5 };
 
 function channels(hex) {
   return [0, 2, 4].map((at) => parseInt(hex.slice(at, at + 2), 16));
@@ -119,6 +127,7 @@ export function recolour() {
     const values = state.flagBit === null ? attribute.values || [] : [0, 1];
     const label = (value) =>
       state.flagBit === null ? classLabel(attribute.name, value) : value ? "set" : "not set";
+    const shade = (value, i) => (attribute.name === "class" ? (LAS_COLOURS[value] ?? i) : i);
     colouring.classes = values.map((value, i) => ({
       value,
       label: label(value),
@@ -126,7 +135,7 @@ export function recolour() {
       colour:
         state.flagBit !== null && value === 0
           ? unknown()
-          : palette[(state.flagBit === null ? i : 4) % palette.length],
+          : palette[(state.flagBit === null ? shade(value, i) : 4) % palette.length],
     }));
   } else {
     const [low, high] = attribute.range || [0, 1];

@@ -1,4 +1,4 @@
-// Rasters of a survey over the map.
+// Rasters of a survey and terrain models over the map.
 
 import { address } from "./api.js";
 import { announce, byId, fill, make } from "./elements.js";
@@ -77,7 +77,7 @@ on("info", () => {
   page.dataset.names = names;
   fill(
     page,
-    make("p", { class: "faint" }, "Rasters of the survey, drawn over the map from above."),
+    make("p", { class: "faint" }, "Rasters of the folder, drawn over the map from above."),
     make("ul", { class: "layers" }, ...layers.map(entry)),
   );
 });

@@ -201,6 +201,8 @@ window.wavexView = Object.freeze({
   clip: () => structuredClone(state.clip),
   /** Line of the profile; null without. */
   profile: () => structuredClone(state.profile),
+  /** Ground along the line of the profile, in parts. */
+  ground: () => structuredClone(state.ground),
   /** Clicked point of a file without waveforms; null without. */
   point: () => structuredClone(state.point),
   /** Whether all points of the view are loaded and drawn. */

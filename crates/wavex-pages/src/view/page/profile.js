@@ -1,14 +1,14 @@
 // Profile: the points along a line, from the side.
 
-import { getBytes } from "./api.js";
+import { getBytes, getJson } from "./api.js";
 import { coloursOf } from "./colours.js";
 import { drawAxes } from "./axes.js";
 import { isDocked, openDock, placeInDock, setMessage, setTitle } from "./dock.js";
-import { byId, debounced, fitted, make } from "./elements.js";
+import { byId, colour, debounced, fitted, make } from "./elements.js";
 import { count, counted, length, roundStep } from "./format.js";
 import { absolute, emit, heightUnit, mapUnit, on, relative, state } from "./state.js";
 import { stage } from "./stage.js";
-import { symbol } from "./symbols.js";
+import { path, stroke, symbol } from "./symbols.js";
 import { addTool, setTool } from "./tools.js";
 
 const MARGIN = { left: 62, top: 8, right: 12, bottom: 38 };
@@ -59,6 +59,7 @@ const content = {
   close() {
     request?.abort();
     points = null;
+    state.ground = [];
     state.profile = null;
     emit("profile");
   },
@@ -125,19 +126,11 @@ async function load() {
   request = new AbortController();
   const { from, to, width_m } = state.profile;
   const corner = (at) => absolute(at).slice(0, 2).join(",");
+  const line = { generation: state.generation, from: corner(from), to: corner(to), width_m };
   if (!points) setMessage("Loading …");
   try {
-    const answer = await getBytes(
-      "profile",
-      {
-        generation: state.generation,
-        from: corner(from),
-        to: corner(to),
-        width_m,
-        attribute: state.attribute,
-      },
-      request.signal,
-    );
+    const answer = await getBytes("profile", { ...line, attribute: state.attribute }, request.signal);
+    state.ground = (await getJson("ground", line, request.signal)).ground;
     const [n, total] = new Uint32Array(answer, 0, 2);
     const column = (Kind, at) => new Kind(answer, 8 + 4 * n * at, n);
     const isFirst = !points;
@@ -152,7 +145,8 @@ async function load() {
       index: column(Uint32Array, 3),
     };
     const seen = n < total ? `${count(n)} of ${count(total)} points` : counted(n, "point");
-    setTitle(`Profile, ${length(size(), mapUnit())}: ${seen}`);
+    const lines = state.ground.length ? "; line: median of the ground" : "";
+    setTitle(`Profile, ${length(size(), mapUnit())}: ${seen}${lines}`);
     setMessage(n === 0 ? "No points within this width of the line." : "");
     if (isFirst || !range) showAll();
     else draw();
@@ -226,6 +220,16 @@ function draw() {
   const layer = make("canvas", { width: w, height: h });
   layer.getContext("2d").putImageData(image, 0, 0);
   context.drawImage(layer, frame.left, frame.top, w / ratio, h / ratio);
+  context.save();
+  context.beginPath();
+  context.rect(frame.left, frame.top, frame.right - frame.left, frame.bottom - frame.top);
+  context.clip();
+  for (const part of state.ground) {
+    const corners = part.map(([along, height]) => screen(frame, along, height));
+    path(context, corners);
+    stroke(context, colour("selected"), 1.5);
+  }
+  context.restore();
   for (const each of (state.changedShot || state.shot)?.returns || [])
     selected(context, frame, each.position);
 }
@@ -310,6 +314,7 @@ function open(from, to) {
   width.setAttribute("aria-label", `Width of the profile, ${mapUnit()}`);
   widthUnit.textContent = ` ${mapUnit()}`;
   points = null;
+  state.ground = [];
   range = null;
   setTitle("Profile");
   openDock(content);

@@ -42,6 +42,8 @@ export const state = {
   marks: new Map(),
   /** Line of the profile: from, to (relative to the origin), width_m, in the unit of the map. */
   profile: null,
+  /** Median height of the ground along that line, in parts: pairs of distance and height. */
+  ground: [],
   /** Line that is being drawn, like `profile`. */
   draft: null,
 };

@@ -109,6 +109,7 @@ impl FoundEcho {
             intensity_sd,
             withheld: false,
             class: 0,
+            height_above_ground_m: f32::NAN,
         }
     }
 

@@ -68,6 +68,7 @@ pub(super) fn describe(
         beam: None,
         beam_power: None,
         columns: Vec::new(),
+        has_heights_above_ground: false,
         amplitude_low: amplitude_table(reader, 1),
         amplitude_high: amplitude_table(reader, 0),
         range_low: None,

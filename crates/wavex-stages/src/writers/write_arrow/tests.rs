@@ -127,6 +127,7 @@ prop_compose! {
             beam: None,
             beam_power: None,
             columns: Vec::new(),
+            has_heights_above_ground: false,
             amplitude_low: tables.0,
             amplitude_high: tables.1,
             range_low: tables.2,

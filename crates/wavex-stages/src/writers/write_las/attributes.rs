@@ -12,6 +12,7 @@ use wavex_line::scan_line::{Return, ReturnChannel, flags};
 
 use super::AttributeLayout;
 pub(crate) use bayes_wavex::{ATTRIBUTES_1_1, RAW_AMP};
+pub(super) use standard::HEIGHT_ABOVE_GROUND;
 
 /// Extra attribute of points: its storage, and its value of a return.
 #[derive(Clone, Copy)]

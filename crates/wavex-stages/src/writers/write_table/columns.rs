@@ -89,6 +89,7 @@ pub(super) static COLUMNS: &[ReturnColumn] = &[
     column("y", ColumnValues::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
     column("z", ColumnValues::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),
     column("total_uncertainty_m", ColumnValues::MaybeF64(|row| known(row.found.total_sd_m)), "square root of the trace of the covariance of the point, m: position, attitude × range and range; null if the trajectory has no accuracies"),
+    column("height_above_ground_m", ColumnValues::MaybeF64(|row| known(f64::from(row.found.height_above_ground_m))), "height above the ground points around, m; null unless `classify` computes it, and outside the ground points"),
     column("profile_peaks", ColumnValues::MaybeI16(|row| of_profile(row, |p| p.peaks.min(9999) as i16)), "number of significant modes of the waveform of the shot; null, as all columns of the profile, for shots without one"),
     column("profile_first_range_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.first_range_m.value)), "range of the first significant mode, m"),
     column("profile_first_range_sd_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.first_range_m.sd)), "standard deviation of profile_first_range_m"),

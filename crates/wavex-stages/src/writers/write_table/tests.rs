@@ -20,7 +20,7 @@ use wavex_line::stage::{Config as _, Item};
 const NAMES: &str = "shot,gps_time_s,return_number,number_of_returns,channel,mta_zone,range_m,range_sd_m,\
     time_of_flight_ns,time_of_flight_sd_ns,amplitude_dn,amplitude_sd_dn,amplitude_db,width_ratio,\
     width_ratio_sd,fwhm_ns,thickness_m,thickness_sd_m,deviation_ratio,intensity,intensity_sd,flags,withheld,\
-    class,x,y,z,total_uncertainty_m,profile_peaks,profile_first_range_m,profile_first_range_sd_m,\
+    class,x,y,z,total_uncertainty_m,height_above_ground_m,profile_peaks,profile_first_range_m,profile_first_range_sd_m,\
     profile_last_range_m,profile_last_range_sd_m,rh25_m,rh25_sd_m,rh50_m,rh50_sd_m,rh75_m,rh75_sd_m,rh98_m,\
     rh98_sd_m,rh100_m,rh100_sd_m,profile_energy_dn,profile_energy_sd_dn,profile_flags";
 
@@ -101,6 +101,7 @@ fn found(emission: u32, value: f64) -> Return {
         intensity_sd: f64::NAN,
         withheld: true,
         class: 18,
+        height_above_ground_m: 2.5,
     }
 }
 
@@ -187,6 +188,7 @@ fn arrow_and_parquet_hold_the_same_columns() {
         assert!(numbers("intensity_sd").iter().all(|sd| sd.unwrap().is_nan()), "unknown, but not null");
         let z = if with_points { [Some(3.5), Some(6.0), Some(-9.125)] } else { [None; 3] };
         assert_eq!(numbers("z"), z);
+        assert_eq!(numbers("height_above_ground_m"), [Some(2.5); 3]);
         assert_eq!(numbers("total_uncertainty_m"), [None, None, Some(0.0625)]);
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::report::overview::view::MapProjection;
+use wavex_ground::point::Class;
 use wavex_line::scan_line::{InputInfo, Return};
 
 /// Maximum number of cells in each direction.
@@ -29,6 +30,8 @@ pub(super) struct MapCell {
     pub(super) height_steps: i64,
     pub(super) intensity_steps: i64,
     pub(super) zone_steps: i64,
+    /// Height of the lowest ground point.
+    pub(super) ground_steps: Option<i64>,
 }
 
 impl MapCell {
@@ -38,6 +41,7 @@ impl MapCell {
         self.height_steps = self.height_steps.saturating_add(other.height_steps);
         self.intensity_steps = self.intensity_steps.saturating_add(other.intensity_steps);
         self.zone_steps = self.zone_steps.saturating_add(other.zone_steps);
+        self.ground_steps = [self.ground_steps, other.ground_steps].into_iter().flatten().min();
     }
 }
 
@@ -126,6 +130,7 @@ impl MapGrid {
             height_steps: steps(*z),
             intensity_steps: steps(found.intensity),
             zone_steps: steps(f64::from(found.mta_zone.max(0))),
+            ground_steps: (found.class == Class::Ground as u8).then(|| steps(*z)),
         };
         if let Some(at) = self.cells.get_mut(place(at)) {
             at.add(cell);

@@ -6,7 +6,7 @@
 use wavex_formats::las::{DataType, ExtraAttribute};
 
 use super::{Fill, ReturnAttribute, each, mta_zone, receivers, reflectance_db};
-use DataType::{F32, I16, U8, U16, U32};
+use DataType::{F32, I16, I32, U8, U16, U32};
 
 /// Attributes of the standard layout, in order.
 ///
@@ -32,6 +32,16 @@ pub(super) const ATTRIBUTES: [ReturnAttribute; 16] = [
     code("Quality flags", "Flags of the fit", U16, None, each!(|r| f64::from(r.flags))),
 ];
 
+/// Height above the ground of `classify`: of the layout only if it is known or named.
+pub(in crate::writers::write_las) const HEIGHT_ABOVE_GROUND: ReturnAttribute = measured(
+    "Height above ground",
+    "Height above ground [m]",
+    I32,
+    Some(0.001),
+    (-1e8, 1e8),
+    each!(|r| f64::from(r.height_above_ground_m)),
+);
+
 /// Largest ranges of stored numbers without the no-data value.
 const LIMITS_U16: (f64, f64) = (0.0, 65_534.0);
 const LIMITS_I16: (f64, f64) = (-32_767.0, 32_767.0);
@@ -53,6 +63,7 @@ const fn measured(
         U16 => u16::MAX as i64,
         U32 => u32::MAX as i64,
         I16 => i16::MIN as i64,
+        I32 => i32::MIN as i64,
         _ => 0,
     };
     let (offset, nan_is_no_data, limits) = (None, true, Some(limits));
@@ -90,7 +101,7 @@ mod tests {
 
     #[test]
     fn no_data_values_are_outside_the_limits() {
-        for ReturnAttribute { stored, .. } in ATTRIBUTES {
+        for ReturnAttribute { stored, .. } in ATTRIBUTES.into_iter().chain([HEIGHT_ABOVE_GROUND]) {
             assert!(stored.name.len() < 32 && stored.description.len() < 32, "{}", stored.name);
             let is_outside = |(least, largest): (f64, f64)| !(least..=largest).contains(&(stored.nan as f64));
             let no_data = stored.nan_is_no_data && stored.data_type != F32;
@@ -107,6 +118,8 @@ mod tests {
         assert_eq!(quantise(-1e9, &reflectance), -5000);
         assert_eq!(quantise(f64::NAN, &reflectance), -32_768);
         assert_eq!(quantise(1e9, &named("MTA zone")), 254);
+        assert_eq!(quantise(-1.2344, &HEIGHT_ABOVE_GROUND.stored), -1234);
+        assert_eq!(quantise(f64::NAN, &HEIGHT_ABOVE_GROUND.stored), i64::from(i32::MIN));
         assert_eq!(quantise(f64::NAN, &named("Raw amplitude")), i64::from(u32::MAX));
         let sd = |value: f64| f32::from_bits(quantise(value, &named("Range SD")) as u32);
         assert_eq!((sd(0.0), sd(-1.0), sd(0.5)), (0.0, 0.0, 0.5));
