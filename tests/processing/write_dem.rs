@@ -33,9 +33,16 @@ impl Raster {
         let (columns, rows) = decoder.dimensions().unwrap();
         let cell = decoder.get_tag_f64_vec(Tag::ModelPixelScaleTag).unwrap()[0];
         let place = decoder.get_tag_f64_vec(Tag::ModelTiepointTag).unwrap();
-        let DecodingResult::F32(values) = decoder.read_chunk(0).unwrap() else { panic!() };
         let (columns, rows) = (columns as usize, rows as usize);
-        let bands = values.len() / (columns * rows);
+        let bands = decoder.get_tag_u32(Tag::SamplesPerPixel).unwrap() as usize;
+        // A tile without data is not stored.
+        let values = match decoder.get_tag_u32_vec(Tag::TileByteCounts).unwrap()[..] {
+            [0] => vec![-9999.0; columns * rows * bands],
+            _ => match decoder.read_chunk(0).unwrap() {
+                DecodingResult::F32(values) => values,
+                _ => panic!(),
+            },
+        };
         Raster { columns, rows, bands, cell, corner: [place[3], place[4]], values }
     }
 
@@ -154,7 +161,7 @@ fn terrain_surface_and_canopy_have_the_same_cells() {
     assert!((canopy.at(30.5, 27.5)[0] - 8.0).abs() < 0.2);
     // The bird is withheld: its cell has no first return.
     assert_eq!((surface.at(10.5, 50.5), canopy.at(10.5, 50.5)), (&[-9999.0][..], &[-9999.0][..]));
-    assert!(terrain.at(10.5, 50.5)[0] < 2.0);
+    assert!((1.0..1.2).contains(&terrain.at(10.5, 50.5)[0]));
     assert!(canopy.at(50.5, 50.5)[0].abs() < 0.1);
 
     // Without total uncertainties, the shared error is assumed.
@@ -222,7 +229,7 @@ fn points_outside_a_projected_map_are_refused() {
     assert!(scanner.contains("needs points in a map; give [job.geometry] a `trajectory`"), "{scanner}");
     // Absurd coordinates need too large a raster.
     let mut far = lines(map(), 1.0);
-    change(&mut far[..1], |_, point| point[0] += 1e9);
+    change(&mut far[..1], |_, point| point[0] += 1e10);
     let message = written(&place, ALL, &far).unwrap_err();
     assert!(message.contains("cells are too many; set a larger `cell_m`"), "{message}");
     assert!(!place.path("terrain.tif").exists());
@@ -242,7 +249,6 @@ fn a_run_writes_the_terrain_of_its_points() {
     };
     let outcome = place.run(&job(""));
     assert_eq!(outcome.code, Some(0), "{}", outcome.err);
-    assert!(outcome.err.contains("is assumed to be 5 cm"), "{}", outcome.err);
     let words = "classify out/a.laz -o b.laz --keep 1,2,7,18 --dem b.tif --surface c.tif --canopy d.tif";
     let outcome = place.wavex(&words.split(' ').collect::<Vec<_>>());
     assert_eq!(outcome.code, Some(0), "{}", outcome.err);
@@ -252,11 +258,10 @@ fn a_run_writes_the_terrain_of_its_points() {
         assert!(one.has_data() && one.corner == other.corner && one.values.len() == other.values.len());
         let cells = one.values.chunks_exact(one.bands).zip(other.values.chunks_exact(one.bands));
         // Points of the cloud are rounded to millimetres, and so may be in the next cell.
-        let differ = cells
-            .filter(|(one, other)| (0..one.len().min(2)).any(|band| (one[band] - other[band]).abs() > 0.01));
+        let differ = cells.filter(|(one, other)| (one[0] - other[0]).abs() > 0.02);
         let n = differ.count();
         println!("{of_run}: {n} of {} cells differ", one.values.len() / one.bands);
-        assert!(n * 50 < one.values.len() / one.bands, "{of_run}: {n}");
+        assert!(n * 25 < one.values.len() / one.bands, "{of_run}: {n}");
     }
     let outcome = place.run(&job("ground = false"));
     assert!(

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use las::{PointData, PointDataBuilder, Reader};
 use wavex_formats::las::{
-    ClassifiedCopy, ExtraBytes, LasHeader, RawPoints, indexes_beside, write_classified,
+    ClassifiedCopy, ExtraBytes, LasHeader, Point, RawPoints, indexes_beside, write_classified,
 };
 use wavex_ground::point::{Class, CloudPoint};
 use wavex_ground::terrain::PointSds;
@@ -28,6 +28,9 @@ const OVERLAP: u8 = 12;
 const TOTAL_SD: &str = "Total uncertainty";
 const RANGE_SD: &str = "Range SD";
 
+/// First points that are looked at for total uncertainties: without accuracies of a trajectory, all are unknown.
+const FIRST_POINTS: usize = 1000;
+
 /// Number of points by class.
 pub(super) type ClassCounts = [u64; 256];
 
@@ -43,6 +46,7 @@ pub(super) struct Cloud {
     pub(super) notes: Vec<String>,
     /// Attributes of the points, and which of them is the SD of their heights, m.
     attributes: Vec<ExtraBytes>,
+    has_total_sds: bool,
     sd: Option<ExtraBytes>,
     /// Offset of the attributes in a record.
     attributes_at: usize,
@@ -67,13 +71,25 @@ impl LeftAlone {
     }
 }
 
+/// Whether some of the first points have a known total uncertainty.
+fn has_total_sds(points: &mut RawPoints) -> bool {
+    let attributes = points.extra_bytes_descriptors();
+    let Some(total) = attributes.iter().find(|attribute| attribute.name == TOTAL_SD).cloned() else {
+        return false;
+    };
+    let mut point = Point::default();
+    (0..FIRST_POINTS)
+        .map_while(|_| points.next_point(&mut point).ok().flatten().map(|extra| total.value(extra)))
+        .any(|sd_m| sd_m > 0.0 && sd_m.is_finite())
+}
+
 impl Cloud {
     /// Reads header and records.
     ///
     /// # Errors
     /// The file cannot be read, is damaged, or its coordinates are no metres or feet: problem and remedy.
     pub(super) fn open(path: &Path, output: PathBuf) -> Result<Cloud, String> {
-        let points = RawPoints::open(path).map_err(|error| error.to_string())?;
+        let mut points = RawPoints::open(path).map_err(|error| error.to_string())?;
         let (header, crs) = (points.header().clone(), points.crs());
         let system = system_of(path, crs.wkt.as_deref(), &header)?;
         let problems = crs.problems.iter().map(|problem| format!("{}: {problem}", path.display()));
@@ -86,6 +102,7 @@ impl Cloud {
             units_m: system.units_m,
             notes,
             attributes: points.extra_bytes_descriptors().to_vec(),
+            has_total_sds: has_total_sds(&mut points),
             sd: None,
             attributes_at: points.extra_start(),
         })
@@ -95,9 +112,9 @@ impl Cloud {
         self.attributes.iter().find(|attribute| attribute.name == name)
     }
 
-    /// Whether its points have the attribute `Total uncertainty` of `write_las`.
+    /// Whether its points have total uncertainties.
     pub(super) fn has_total_sds(&self) -> bool {
-        self.attribute(TOTAL_SD).is_some()
+        self.has_total_sds
     }
 
     /// Uses total uncertainties, or SDs of ranges, as SDs of the points.
