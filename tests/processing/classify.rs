@@ -333,7 +333,7 @@ fn copc_stays_copc() {
     succeeds(&place, &["classify", "a.laz", "-o", "out/a.laz"]);
     succeeds(
         &place,
-        &["classify", "a.copc.laz", "-o", "out/a.copc.laz", "--memory-mb", "1", "--threads", "2"],
+        &["classify", "a.copc.laz", "-o", "out/a.copc.laz", "--memory-mb", "16", "--threads", "2"],
     );
     let copy = bytes(&place, "out/a.copc.laz");
     // The first record is that of COPC.
@@ -394,7 +394,10 @@ fn an_interruption_leaves_no_file() {
         assert!(sent.success());
         let output = child.wait_with_output().unwrap();
         let err = String::from_utf8(output.stderr).unwrap();
-        assert_eq!((output.status.code(), err.as_str()), (Some(1), "error: interrupted\n"));
+        assert_eq!(
+            (output.status.code(), err.as_str()),
+            (Some(1), "error: interrupted; unfinished outputs were removed\n")
+        );
         assert_eq!(n_files(), 0);
     }
 }
