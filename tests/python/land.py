@@ -15,6 +15,7 @@ KINDS = ["", "ground", "building", "chimney", "mast", "bridge", "leaves", "wire"
 GROUND = 1
 # Kinds of noise, from 100.
 NOISE = ["low single", "high single", "multipath", "low cluster", "bird", "cloud", "zone, single", "zone, block"]
+NAMES = dict([*enumerate(KINDS), *enumerate(NOISE, 100)])
 
 
 class Land:
