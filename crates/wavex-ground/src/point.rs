@@ -9,14 +9,10 @@ pub struct CloudPoint {
     pub beam: [f32; 3],
     /// SD of the height, m; NaN if unknown.
     pub height_sd_m: f32,
-    /// Echo width divided by the width of an echo of flat ground; NaN if unknown.
-    pub relative_width: f32,
     /// Number of the return within its shot, from 1; 0 if unknown.
     pub return_number: u8,
     /// Number of returns of the shot; 0 if unknown.
     pub n_returns: u8,
-    /// Whether the echo overlaps others of its shot.
-    pub is_overlapped: bool,
     /// Strip of the point; points of one strip share errors.
     pub strip: u16,
 }
@@ -28,10 +24,8 @@ impl CloudPoint {
             position_m,
             beam: [0.0; 3],
             height_sd_m: f32::NAN,
-            relative_width: f32::NAN,
             return_number: 0,
             n_returns: 0,
-            is_overlapped: false,
             strip: 0,
         }
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use wavex_geodesy::crs::units_of_wkt;
 use wavex_geodesy::vertical::down_at;
 use wavex_ground::point::CloudPoint;
-use wavex_line::scan_line::{Emission, Frame, InputInfo, Return, ScanLine, flags};
+use wavex_line::scan_line::{Emission, Frame, InputInfo, Return, ScanLine};
 
 /// Makes clouds from lines with points in a map.
 #[derive(Debug, Default)]
@@ -32,10 +32,8 @@ impl CloudOfMap {
             CloudPoint {
                 beam,
                 height_sd_m: (r.range_sd_m * f64::from(beam[2].abs())) as f32,
-                relative_width: r.width_ratio as f32,
                 return_number: r.return_number,
                 n_returns: r.number_of_returns,
-                is_overlapped: r.flags & flags::OVERLAP != 0,
                 ..CloudPoint::at(if r.withheld { [f64::NAN; 3] } else { position_m })
             }
         });

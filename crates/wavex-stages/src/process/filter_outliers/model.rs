@@ -3,7 +3,7 @@
 use wavex_geodesy::vertical::{down_at, main_axis};
 use wavex_ground::point::CloudPoint;
 use wavex_ground::rays::{NoiseSettings, mark_noise};
-use wavex_line::scan_line::{Frame, Return, ScanLine, flags};
+use wavex_line::scan_line::{Frame, Return, ScanLine};
 use wavex_line::stage::{Output, Result, RunContext, Transform};
 
 use super::geometry::{AssumedMotion, ReturnPositions, dot, has_vertical};
@@ -88,7 +88,6 @@ impl Level {
                 beam: self.axes.map(|axis| dot(axis, direction) as f32),
                 return_number: r.return_number,
                 n_returns: r.number_of_returns,
-                is_overlapped: r.flags & flags::OVERLAP != 0,
                 ..CloudPoint::at([east, north, up])
             }
         };
