@@ -7,51 +7,72 @@ use super::nodes::Nodes;
 /// A point below the ground around it by more than this multiple of the largest height above it is dropped.
 const LOWER_BY: f64 = 2.0;
 
-/// Decides each node again, from planes through the ground around it, until nothing changes or for `passes`.
-///
-/// A node is ground if it is near the plane through its surroundings, or near one through the ground on one side of it.
-/// A node without three neighbours stays as it is. Progressive densification after Axelsson (2000) with planes instead of
-/// the facets of a triangulation: a plane averages noise, and its residuals say how rough the ground is.
-///
-/// `spacing` is the distance of nodes in cells. Neighbours are searched as far as a constant number of them needs.
-pub(super) fn grow(
-    nodes: &Nodes,
-    is_ground: &mut [bool],
+/// Growth of the ground of a tile. It keeps what each decision depends on.
+pub(super) struct Growth<'a> {
+    nodes: &'a Nodes,
+    /// Distance of nodes in cells. Neighbours are searched as far as a constant number of them needs.
     spacing: f64,
-    passes: usize,
-    settings: &GroundSettings,
-) {
-    let rings = |n: f64| (n * spacing).round() as usize;
-    let around = Neighbourhood { count: 12, at_least: 3, rings: rings(12.0), side: [0.0; 2], damping: 0.5 };
-    // At edges of terraces and cliffs the ground continues on one side only.
-    let beside = Neighbourhood { count: 8, at_least: 8, rings: rings(6.0), side: [0.0; 2], damping: 1.0 };
-    // Rings on which the last decision of a node depends. It is decided again if one of their nodes has changed.
-    let mut depends_on = vec![0; nodes.len()];
-    let mut is_due = vec![true; nodes.len()];
-    for _ in 0..passes {
-        let before = is_ground.to_vec();
-        let mut surroundings = Surroundings::new(nodes, &before, spacing);
-        for node in (0..nodes.len()).filter(|&node| is_due[node]) {
-            surroundings.move_to(node);
-            is_ground[node] = surroundings.fit(&around).map_or(before[node], |plane| {
-                is_near(&plane, before[node], settings)
-                    || SIDES.iter().any(|&side| {
-                        surroundings.fit(&Neighbourhood { side, ..beside }).is_some_and(|plane| {
-                            plane.height_m.abs() <= settings.side_m + settings.side_roughness * plane.rms_m
+    around: Neighbourhood,
+    beside: Neighbourhood,
+    /// Rings on which the last decision of each node depends.
+    depends_on: Vec<usize>,
+    /// Ground at the start of the last pass; empty before the first.
+    last: Vec<bool>,
+}
+
+impl<'a> Growth<'a> {
+    pub(super) fn new(nodes: &'a Nodes, spacing: f64) -> Growth<'a> {
+        let rings = |n: f64| (n * spacing).round() as usize;
+        let around =
+            Neighbourhood { count: 12, at_least: 3, rings: rings(12.0), side: [0.0; 2], damping: 0.5 };
+        // At edges of terraces and cliffs the ground continues on one side only.
+        let beside = Neighbourhood { count: 8, at_least: 8, rings: rings(6.0), side: [0.0; 2], damping: 1.0 };
+        Growth { nodes, spacing, around, beside, depends_on: vec![0; nodes.len()], last: Vec::new() }
+    }
+
+    /// Decides each node again, from planes through the ground around it, until nothing changes or for `passes`.
+    ///
+    /// A node is ground if it is near the plane through its surroundings, or near one through the ground on one side of
+    /// it. A node without three neighbours stays as it is. Progressive densification after Axelsson (2000) with planes
+    /// instead of the facets of a triangulation: a plane averages noise, and its residuals say how rough the ground is.
+    pub(super) fn grow(&mut self, is_ground: &mut [bool], passes: usize, settings: &GroundSettings) {
+        for _ in 0..passes {
+            let due = self.due(is_ground);
+            if due.is_empty() {
+                break;
+            }
+            let before = is_ground.to_vec();
+            let mut surroundings = Surroundings::new(self.nodes, &before, self.spacing);
+            for node in due {
+                surroundings.move_to(node);
+                is_ground[node] = surroundings.fit(&self.around).map_or(before[node], |plane| {
+                    is_near(&plane, before[node], settings)
+                        || SIDES.iter().any(|&side| {
+                            surroundings.fit(&Neighbourhood { side, ..self.beside }).is_some_and(|plane| {
+                                let limit = settings.side_m + settings.side_roughness * plane.rms_m;
+                                plane.height_m.abs() <= limit
+                            })
                         })
-                    })
-            });
-            depends_on[node] = surroundings.rings();
+                });
+                self.depends_on[node] = surroundings.rings();
+            }
+            self.last = before;
         }
-        is_due.fill(false);
-        let farthest = depends_on.iter().copied().max().unwrap_or_default();
-        for node in (0..nodes.len()).filter(|&node| is_ground[node] != before[node]) {
-            is_due[node] = true;
-            nodes.for_each_within(node, farthest, |other, ring| is_due[other] |= ring <= depends_on[other]);
+    }
+
+    /// Nodes whose decision may differ from the last: they, or nodes on which they depend, have changed.
+    fn due(&self, is_ground: &[bool]) -> Vec<usize> {
+        let mut is_due = vec![self.last.is_empty(); is_ground.len()];
+        let farthest = self.depends_on.iter().copied().max().unwrap_or_default();
+        for (node, last) in self.last.iter().enumerate() {
+            if is_ground[node] != *last {
+                is_due[node] = true;
+                self.nodes.for_each_within(node, farthest, |other, ring| {
+                    is_due[other] |= ring <= self.depends_on[other];
+                });
+            }
         }
-        if !is_due.contains(&true) {
-            break;
-        }
+        (0..is_due.len()).filter(|&node| is_due[node]).collect()
     }
 }
 
@@ -101,8 +122,8 @@ mod tests {
             (0..nodes.len()).map(|node| nodes.positions_m[node][0] < 30.0).collect();
         let settings = GroundSettings::default();
         let mut one_by_one = is_ground.clone();
-        grow(&nodes, &mut is_ground, 2.1, 6, &settings);
-        (0..6).for_each(|_| grow(&nodes, &mut one_by_one, 2.1, 1, &settings));
+        Growth::new(&nodes, 2.1).grow(&mut is_ground, 6, &settings);
+        (0..6).for_each(|_| Growth::new(&nodes, 2.1).grow(&mut one_by_one, 1, &settings));
         let n_ground = is_ground.iter().filter(|&&is_ground| is_ground).count();
         assert!((nodes.len() / 2..nodes.len() - 100).contains(&n_ground), "{n_ground}");
         let n_different = is_ground.iter().zip(&one_by_one).filter(|(a, b)| a != b).count();
