@@ -3,8 +3,10 @@
 mod growth;
 mod local_plane;
 mod low;
+mod nodes;
 mod opening;
 mod raster;
+mod roof;
 mod surface;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,7 +14,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use rayon::prelude::*;
 
 use crate::point::{Class, CloudPoint};
-use raster::{Grid, lowest};
+use growth::Growth;
+use nodes::Nodes;
+use raster::{EMPTY, Grid, lowest};
 
 /// Edge of the tiles that are classified one by one, m. Tiles begin at multiples of it.
 pub const TILE_M: f64 = 512.0;
@@ -32,8 +36,8 @@ pub struct GroundSettings {
     pub step_m: f64,
     /// See `step_m`.
     pub step_slope: f64,
-    /// Passes of the growth of the ground.
-    pub growth_passes: usize,
+    /// Passes of the growth of the ground before climbed roofs are dropped, and after it.
+    pub growth_passes: [usize; 2],
     /// Largest height of ground above the plane around it, m, besides the plane's RMS.
     pub plane_m: f64,
     /// Addition to `plane_m` on a slope of 1 (45 degrees), m.
@@ -57,7 +61,7 @@ impl Default for GroundSettings {
             largest_radius_m: 40.0,
             step_m: 0.2,
             step_slope: 0.1,
-            growth_passes: 5,
+            growth_passes: [5, 2],
             plane_m: 0.3,
             plane_slope_m: 0.3,
             side_m: 0.2,
@@ -83,6 +87,15 @@ const AREA_SQUARE_M: f64 = 32.0;
 /// Largest number of cells for each point on occupied area.
 const CELLS_PER_POINT: f64 = 16.0;
 
+/// The distance of lowest points is measured with squares of this edge, in cells.
+const SQUARE_CELLS: usize = 16;
+
+/// Largest distance of lowest points, in cells, to which neighbourhoods are adapted.
+const FARTHEST_SPACING: f64 = 4.0;
+
+/// Widest extent of points that are classified with one raster, m.
+const WIDEST_M: f64 = 2.0 * (TILE_M + 2.0 * OVERLAP_M);
+
 /// Classifies points as [`Class::Ground`] or [`Class::Unclassified`].
 ///
 /// Each tile of [`TILE_M`] is classified with the points within [`OVERLAP_M`] of it, so memory does not depend on the
@@ -92,7 +105,7 @@ pub fn classify_ground(points: &[CloudPoint], settings: &GroundSettings) -> Vec<
     let mut tiles: BTreeMap<[i64; 2], Vec<usize>> = BTreeMap::new();
     for (index, point) in points.iter().enumerate() {
         let position = point.position_m;
-        if position.iter().all(|value| value.abs() <= FARTHEST_M) {
+        if is_usable(position) {
             let tile = [0, 1].map(|axis| (position[axis] / TILE_M).floor() as i64);
             tiles.entry(tile).or_default().push(index);
         }
@@ -105,6 +118,34 @@ pub fn classify_ground(points: &[CloudPoint], settings: &GroundSettings) -> Vec<
         classes[index] = Class::Ground;
     }
     classes
+}
+
+/// Classifies the points of one tile with those around it, like [`classify_ground`], but with one raster.
+///
+/// The points around it get classes as well, which are less certain near the edge. Points that extend over more than 1424 m
+/// are classified by tiles.
+pub fn classify_tile(points: &[CloudPoint], settings: &GroundSettings) -> Vec<Class> {
+    let usable: Vec<usize> = (0..points.len()).filter(|&index| is_usable(points[index].position_m)).collect();
+    let is_wide = (0..2).any(|axis| {
+        let along = || usable.iter().map(|&index| points[index].position_m[axis]);
+        along().fold(f64::NEG_INFINITY, f64::max) - along().fold(f64::INFINITY, f64::min) > WIDEST_M
+    });
+    if is_wide {
+        return classify_ground(points, settings);
+    }
+    let members: Vec<CloudPoint> = usable.iter().map(|&index| points[index]).collect();
+    let mut classes = vec![Class::Unclassified; points.len()];
+    for (index, is_ground) in usable.into_iter().zip(ground(&members, settings)) {
+        if is_ground {
+            classes[index] = Class::Ground;
+        }
+    }
+    classes
+}
+
+/// Whether cells have exact coordinates at a position.
+fn is_usable(position_m: [f64; 3]) -> bool {
+    position_m.iter().all(|value| value.abs() <= FARTHEST_M)
 }
 
 /// Indices of the ground points of a tile.
@@ -153,19 +194,67 @@ fn grid(positions_m: &[[f64; 3]], settings: &GroundSettings) -> Grid {
     Grid::covering(min_m, max_m, cell_m)
 }
 
+/// Mean distance of lowest points, in cells, on squares that have some.
+fn spacing(grid: &Grid, cells: &[usize]) -> f64 {
+    let columns = grid.columns.div_ceil(SQUARE_CELLS);
+    let mut is_occupied = vec![false; columns * grid.rows.div_ceil(SQUARE_CELLS)];
+    let mut n_nodes = 0;
+    for (cell, _) in cells.iter().enumerate().filter(|&(_, &point)| point != EMPTY) {
+        let (row, column) = (cell / grid.columns, cell % grid.columns);
+        is_occupied[row / SQUARE_CELLS * columns + column / SQUARE_CELLS] = true;
+        n_nodes += 1;
+    }
+    let n_squares = is_occupied.into_iter().filter(|&is_occupied| is_occupied).count();
+    let n_cells = (n_squares * SQUARE_CELLS * SQUARE_CELLS) as f64;
+    (n_cells / f64::from(n_nodes.max(1))).sqrt().clamp(1.0, FARTHEST_SPACING)
+}
+
+/// Whether the openings leave each node. Their raster has coarser cells if most cells of `grid` are empty.
+fn bare_nodes(nodes: &Nodes, grid: &Grid, spacing: f64, settings: &GroundSettings) -> Vec<bool> {
+    let coarser = if spacing >= 4.0 {
+        4.0
+    } else if spacing >= 2.0 {
+        2.0
+    } else {
+        1.0
+    };
+    let [width_m, height_m] = [grid.columns, grid.rows].map(|n| (n - 1) as f64 * grid.cell_m);
+    let end_m = [grid.origin_m[0] + width_m, grid.origin_m[1] + height_m];
+    let coarse = Grid::covering(grid.origin_m, end_m, coarser * grid.cell_m);
+    let lowest = lowest(&coarse, &nodes.positions_m, |_| true);
+    let bare_cells = opening::bare_cells(&coarse, &nodes.positions_m, &lowest, settings);
+    let mut is_bare = vec![false; nodes.len()];
+    for (node, is_bare_cell) in lowest.into_iter().zip(bare_cells) {
+        if node != EMPTY {
+            is_bare[node] = is_bare_cell;
+        }
+    }
+    is_bare
+}
+
 /// Whether each point of a tile is ground.
 fn ground(points: &[CloudPoint], settings: &GroundSettings) -> Vec<bool> {
     let positions_m: Vec<[f64; 3]> = points.iter().map(|point| point.position_m).collect();
+    if points.is_empty() {
+        return Vec::new();
+    }
     let grid = grid(&positions_m, settings);
-    let is_low = low::below_ground(&grid, &positions_m, settings);
+    let all_cells = lowest(&grid, &positions_m, |_| true);
+    let is_low = low::below_ground(&grid, &positions_m, spacing(&grid, &all_cells), settings);
     let cells = lowest(&grid, &positions_m, |point| !is_low[point] && points[point].may_be_last());
-    let mut is_ground = opening::bare_cells(&grid, &positions_m, &cells, settings);
-    growth::grow(&grid, &positions_m, &cells, &mut is_ground, settings);
-    let known: Vec<f64> = cells
-        .iter()
-        .zip(&is_ground)
-        .map(|(&point, &is_ground)| if is_ground { positions_m[point][2] } else { f64::NAN })
-        .collect();
+    let nodes = Nodes::new(&grid, &positions_m, &cells);
+    let spacing = spacing(&grid, &cells);
+    let is_bare = bare_nodes(&nodes, &grid, spacing, settings);
+    let mut is_ground = is_bare.clone();
+    let mut growth = Growth::new(&nodes, spacing);
+    for passes in settings.growth_passes {
+        growth.grow(&mut is_ground, passes, settings);
+        roof::drop_roofs(&nodes, &is_bare, spacing, &mut is_ground);
+    }
+    let mut known = vec![f64::NAN; grid.len()];
+    for (node, _) in is_ground.iter().enumerate().filter(|(_, is_ground)| **is_ground) {
+        known[nodes.cells[node]] = nodes.positions_m[node][2];
+    }
     let surface = surface::fill(grid.columns, grid.rows, &known);
     let slopes = surface::slopes(&grid, &surface);
     points
@@ -244,6 +333,11 @@ mod tests {
             points.push(CloudPoint::at([x, 51.0, -12.0]));
             truth.extend([false; 2]);
         }
+        for index in 0..16 {
+            let [x, y] = [70.5 + f64::from(index % 4), 20.5 + f64::from(index / 4)];
+            points.push(CloudPoint::at([x, y, -30.0]));
+            truth.push(false);
+        }
         assert_eq!(error(&points, &truth), 0.0);
     }
 
@@ -268,6 +362,62 @@ mod tests {
             .collect();
         points.extend(far);
         assert_eq!(error(&points, &[truth.clone(), truth].concat()), 0.0);
+    }
+
+    #[test]
+    fn floors_of_lanes_between_high_buildings_are_ground() {
+        let (points, truth) = scene(60, |x, y| {
+            let is_roof = (20.0..50.0).contains(&x) && !(32.0..36.0).contains(&y);
+            (if is_roof { 40.0 } else { 0.0 }, !is_roof)
+        });
+        assert!(error(&points, &truth) < 0.01, "{}", error(&points, &truth));
+    }
+
+    /// 20 m wide, up to 6 m high, 0.16 points per m²: a ramp leads up, all other sides are walls.
+    #[test]
+    fn embankments_of_sparse_points_are_ground() {
+        let (mut points, truth) = scene(80, |_, _| (0.0, true));
+        for point in &mut points {
+            let [x, y, z] = &mut point.position_m;
+            (*x, *y) = (2.5 * *x, 2.5 * *y);
+            let is_top = (*x + 0.3 * *y - 130.0).abs() < 10.0 && *y < 130.0;
+            *z = if is_top { (0.1 * (*y - 30.0)).clamp(0.0, 6.0) } else { 0.0 };
+        }
+        assert!(error(&points, &truth) < 0.02, "{}", error(&points, &truth));
+    }
+
+    #[test]
+    fn a_tile_is_classified_like_a_tile_of_a_cloud() {
+        // The right part alone would be ground.
+        let (mut points, _) = scene(100, |x, _| (0.2 * x + if x > 60.0 { 8.0 } else { 0.0 }, true));
+        points.push(CloudPoint::at([f64::NAN, 0.0, 0.0]));
+        let settings = GroundSettings::default();
+        assert_eq!(classify_tile(&points, &settings), classify_ground(&points, &settings));
+        // The edge of a tile crosses the points.
+        points.iter_mut().for_each(|point| point.position_m[0] += TILE_M - 70.0);
+        assert_eq!(classify_tile(&points, &settings), classify_ground(&points, &settings));
+        assert!(classify_tile(&[], &settings).is_empty());
+    }
+
+    #[test]
+    fn wide_clouds_are_not_one_tile() {
+        let far = |x: f64| CloudPoint::at([x, 0.0, 0.0]);
+        let points = [far(-1e9), far(1e9), CloudPoint::at([0.0, 1e8, 5.0])];
+        assert_eq!(classify_tile(&points, &GroundSettings::default()), [Class::Ground; 3]);
+    }
+
+    #[test]
+    fn spacing_is_that_of_occupied_squares() {
+        let grid = Grid::covering([0.0; 2], [319.0, 159.0], 1.0);
+        let cells: Vec<usize> = (0..grid.len())
+            .map(|cell| {
+                let (row, column) = (cell / grid.columns, cell % grid.columns);
+                if row.is_multiple_of(3) && column.is_multiple_of(3) && column < 160 { cell } else { EMPTY }
+            })
+            .collect();
+        let spacing = super::spacing(&grid, &cells);
+        assert!((spacing - 3.0).abs() < 0.1, "{spacing}");
+        assert_eq!(super::spacing(&grid, &[EMPTY; 320 * 160]), 1.0);
     }
 
     #[test]

@@ -83,6 +83,6 @@ pub(super) fn lowest(grid: &Grid, positions_m: &[[f64; 3]], accept: impl Fn(usiz
 }
 
 /// Order by height, then by position, for results that do not depend on the order of points.
-fn is_lower(a: [f64; 3], b: [f64; 3]) -> bool {
+pub(super) fn is_lower(a: [f64; 3], b: [f64; 3]) -> bool {
     (a[2], a[0], a[1]) < (b[2], b[0], b[1])
 }

@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use rayon::prelude::*;
-use wavex_ground::filter::{GroundSettings, OVERLAP_M, TILE_M, classify_ground};
+use wavex_ground::filter::{GroundSettings, OVERLAP_M, TILE_M, classify_tile};
 use wavex_ground::point::{Class, CloudPoint};
 use wavex_ground::rays::{NoiseSettings, mark_noise};
 use wavex_stages::terrain::{GroundPoints, Spool, SpoolBuffers, SpoolWriter, SurfacePoints};
@@ -207,7 +207,7 @@ fn classes_of(points: &[CloudPoint], settings: &GroundSettings) -> Vec<Class> {
         .map(|(point, _)| *point)
         .collect();
     let unclassified = classes.iter_mut().filter(|class| **class == Class::Unclassified);
-    for (class, other) in unclassified.zip(classify_ground(&others, settings)) {
+    for (class, other) in unclassified.zip(classify_tile(&others, settings)) {
         *class = other;
     }
     classes

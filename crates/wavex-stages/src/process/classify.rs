@@ -5,7 +5,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use wavex_ground::filter::{GroundSettings, classify_ground};
+use wavex_ground::filter::{GroundSettings, classify_tile};
 use wavex_ground::height::heights_above_ground;
 use wavex_ground::point::{Class, CloudPoint};
 use wavex_ground::rays::{NoiseSettings, mark_noise};
@@ -107,7 +107,7 @@ fn classes(points: &[CloudPoint], noise: bool, ground: bool) -> Vec<Class> {
     if ground {
         let (places, others): (Vec<usize>, Vec<CloudPoint>) =
             (0..points.len()).zip(points).filter(|(at, _)| classes[*at] == Class::Unclassified).unzip();
-        for (at, class) in places.into_iter().zip(classify_ground(&others, &GroundSettings::default())) {
+        for (at, class) in places.into_iter().zip(classify_tile(&others, &GroundSettings::default())) {
             classes[at] = class;
         }
     }
