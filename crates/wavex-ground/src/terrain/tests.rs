@@ -93,7 +93,10 @@ fn the_error_of_strips_is_learnt_from_their_overlap() {
     // Two strips that agree do not prove that they have no errors: what is typical remains.
     assert!((without.strip_sd_m - 0.02 * 2f64.sqrt()).abs() < 0.002, "{without}");
     // Half of the squared difference is the variance of a strip.
-    assert!((with.strip_sd_m - (0.2f64.powi(2) / 2.0 + 2.0 * 0.02f64.powi(2)).sqrt()).abs() < 0.005, "{with}");
+    assert!(
+        (with.strip_sd_m - (0.2f64.powi(2) / 2.0 + 2.0 * 0.02f64.powi(2)).sqrt()).abs() < 0.005,
+        "{with}"
+    );
     assert!(with.assumptions.is_empty());
     let mut alone = hills(0.0);
     alone.retain(|p| p.strip == 0);
