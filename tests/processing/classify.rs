@@ -394,10 +394,7 @@ fn an_interruption_leaves_no_file() {
         assert!(sent.success());
         let output = child.wait_with_output().unwrap();
         let err = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(
-            (output.status.code(), err.as_str()),
-            (Some(1), "error: interrupted; unfinished outputs were removed\n")
-        );
+        assert!(output.status.code() == Some(1) && err.starts_with("error: interrupted"), "{err}");
         assert_eq!(n_files(), 0);
     }
 }
