@@ -239,8 +239,7 @@ fn ground(points: &[CloudPoint], settings: &GroundSettings) -> Vec<bool> {
         return Vec::new();
     }
     let grid = grid(&positions_m, settings);
-    let all_cells = lowest(&grid, &positions_m, |_| true);
-    let is_low = low::below_ground(&grid, &positions_m, spacing(&grid, &all_cells), settings);
+    let is_low = low::below_ground(&grid, &positions_m, settings);
     let cells = lowest(&grid, &positions_m, |point| !is_low[point] && points[point].may_be_last());
     let nodes = Nodes::new(&grid, &positions_m, &cells);
     let spacing = spacing(&grid, &cells);

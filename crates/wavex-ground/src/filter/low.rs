@@ -2,31 +2,25 @@
 
 use super::GroundSettings;
 use super::opening::close;
-use super::raster::{EMPTY, Grid, is_lower, lowest};
+use super::raster::{EMPTY, Grid, lowest};
 
 /// Passes: points under the first that are found become the lowest of their cells.
 const PASSES: usize = 3;
 
-/// Points of a floor are neighbours within this distance, in spacings of lowest points.
-const NEIGHBOURS: f64 = 2.0;
-/// Height difference of neighbours on one floor, m, besides a slope.
-const STEP_M: f64 = 0.3;
-/// Slope of a floor.
-const SLOPE: f64 = 0.5;
+/// Distances at which other low points show that a pit is ground below a wood, m: low clusters are narrower.
+const COMPANIONS_M: [f64; 2] = [5.0, 20.0];
+/// Height difference of such points, m, and its part of their distance.
+const LEVEL_M: f64 = 0.5;
+const LEVEL_SLOPE: f64 = 0.1;
+/// Fewest quadrants with such points: on a slope, only two have points of the same height.
+const QUADRANTS: u32 = 2;
 
 /// Marks points in pits that no ground has: narrower than a window and deeper than `low_slope` times its radius.
 ///
 /// A closing of the lowest heights fills pits that are narrower than its window. Pingel, Clarke and McBride (2013) detect
-/// low outliers in this way with a window of one cell. Courtyards and lanes are such pits as well, but their floors continue
-/// to points outside.
-///
-/// `spacing` is the distance of lowest points in cells.
-pub(super) fn below_ground(
-    grid: &Grid,
-    positions_m: &[[f64; 3]],
-    spacing: f64,
-    settings: &GroundSettings,
-) -> Vec<bool> {
+/// low outliers in this way with a window of one cell. Ground seen through gaps of a wood is in such pits as well, but
+/// has points of the same height around.
+pub(super) fn below_ground(grid: &Grid, positions_m: &[[f64; 3]], settings: &GroundSettings) -> Vec<bool> {
     let mut is_low = vec![false; positions_m.len()];
     for _ in 0..PASSES {
         let cells = lowest(grid, positions_m, |point| !is_low[point]);
@@ -44,7 +38,8 @@ pub(super) fn below_ground(
         }
         let mut is_changed = false;
         for (position, is_low) in positions_m.iter().zip(&mut is_low) {
-            if !*is_low && position[2] < lowest_allowed[grid.cell(*position)] {
+            let is_pit = !*is_low && position[2] < lowest_allowed[grid.cell(*position)];
+            if is_pit && !has_companions(grid, &heights, *position) {
                 *is_low = true;
                 is_changed = true;
             }
@@ -53,43 +48,59 @@ pub(super) fn below_ground(
             break;
         }
     }
-    restore_floors(grid, positions_m, spacing, &mut is_low);
     is_low
 }
 
-/// Removes the mark from points that other points without it continue, step by step from the edge of a floor.
-fn restore_floors(grid: &Grid, positions_m: &[[f64; 3]], spacing: f64, is_low: &mut [bool]) {
-    let mut low: Vec<usize> = (0..is_low.len()).filter(|&point| is_low[point]).collect();
-    if low.is_empty() {
-        return;
+/// Whether lowest points around a place, in several directions, have its height.
+fn has_companions(grid: &Grid, heights: &[f64], position_m: [f64; 3]) -> bool {
+    let cell = grid.cell(position_m);
+    let (row, column) = (cell / grid.columns, cell % grid.columns);
+    let [nearest, farthest] = COMPANIONS_M.map(|reach_m| (reach_m / grid.cell_m).ceil().max(1.0) as usize);
+    let mut quadrants = 0u32;
+    for ring in nearest..=farthest {
+        let level_m = LEVEL_M + LEVEL_SLOPE * ring as f64 * grid.cell_m;
+        grid.for_each_in_ring(cell, ring, |other| {
+            if (heights[other] - position_m[2]).abs() <= level_m {
+                let (is_north, is_east) = (other / grid.columns > row, other % grid.columns > column);
+                quadrants |= 1 << (2 * u32::from(is_north) + u32::from(is_east));
+            }
+        });
+        if quadrants.count_ones() >= QUADRANTS {
+            return true;
+        }
     }
-    let mut cells = lowest(grid, positions_m, |point| !is_low[point]);
-    let rings = (NEIGHBOURS * spacing).ceil() as usize;
-    loop {
-        let continues = |&point: &usize| {
-            let position = positions_m[point];
-            let mut is_found = false;
-            for ring in 0..=rings {
-                grid.for_each_in_ring(grid.cell(position), ring, |cell| {
-                    if cells[cell] != EMPTY {
-                        let [x, y, z] = [0, 1, 2].map(|axis| positions_m[cells[cell]][axis] - position[axis]);
-                        is_found |= z.abs() <= STEP_M + SLOPE * (x * x + y * y).sqrt();
-                    }
-                });
-            }
-            is_found
-        };
-        let (floor, others): (Vec<usize>, Vec<usize>) = low.iter().partition(|point| continues(point));
-        if floor.is_empty() {
-            return;
-        }
-        for point in floor {
-            is_low[point] = false;
-            let cell = &mut cells[grid.cell(positions_m[point])];
-            if *cell == EMPTY || is_lower(positions_m[point], positions_m[*cell]) {
-                *cell = point;
-            }
-        }
-        low = others;
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ground_below_a_wood_is_no_pit_and_low_clusters_are() {
+        // A wood 12 m high, through which every ninth point reaches the ground, and a cluster of 3 m by 3 m below it.
+        let positions: Vec<[f64; 3]> = (0..3600)
+            .map(|index| {
+                let (x, y) = (f64::from(index % 60) + 0.5, f64::from(index / 60) + 0.5);
+                let is_cluster = (30.0..33.0).contains(&x) && (30.0..33.0).contains(&y);
+                let is_edge = [x, y].iter().any(|at| !(3.0..57.0).contains(at));
+                let is_ground = is_edge || index % 3 == 0 && index / 60 % 3 == 0;
+                [
+                    x,
+                    y,
+                    if is_cluster {
+                        -22.0
+                    } else if is_ground {
+                        0.05 * x
+                    } else {
+                        12.0 + 0.05 * x
+                    },
+                ]
+            })
+            .collect();
+        let grid = Grid::covering([0.0; 2], [59.9; 2], 1.0);
+        let is_low = below_ground(&grid, &positions, &GroundSettings::default());
+        let found = positions.iter().zip(is_low).filter(|(_, is_low)| *is_low).map(|(p, _)| p[2]);
+        assert_eq!(found.collect::<Vec<_>>(), [-22.0; 9]);
     }
 }
