@@ -12,7 +12,7 @@ mod surface;
 mod tests;
 
 use crate::point::{Class, CloudPoint};
-use low::{LowSurface, is_cluster};
+use low::LowSurface;
 use objects::{Object, Objects};
 use passes::{Evidence, passes};
 use surface::Envelope;
@@ -121,12 +121,6 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
         is_accepted[at] |= object.n_points <= BIRDS && envelope.place_of(object).above_m < 0.0;
     }
 
-    let is_low_cluster: Vec<bool> = (0..objects.list.len())
-        .map(|at| is_accepted[at] && is_cluster(points, &objects, &objects.list[at]))
-        .collect();
-    for (is_accepted, is_low_cluster) in is_accepted.iter_mut().zip(&is_low_cluster) {
-        *is_accepted &= !is_low_cluster;
-    }
     let mut is_kept = vec![false; points.len()];
     for (_, object) in objects.list.iter().enumerate().filter(|(at, _)| is_accepted[*at]) {
         objects.points_of(object).for_each(|point| is_kept[point] = true);
@@ -146,8 +140,6 @@ pub fn mark_noise(points: &[CloudPoint], settings: &NoiseSettings) -> Vec<Class>
                 let is_contradicted = is_doubtful && low.is_crossed_surface(points, &objects, &points[point])
                     || low.is_alone_below(points, &objects, position_m);
                 if is_contradicted { Class::LowNoise } else { Class::Unclassified }
-            } else if is_low_cluster[at] {
-                Class::LowNoise
             } else if by_chance(object)
                 && !envelope.is_below(object)
                 && is_covered(&objects, points, &is_kept, position_m)

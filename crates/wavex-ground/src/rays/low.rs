@@ -1,6 +1,6 @@
 //! The lowest surface, as planes through the lowest points of the cells around, and points below it.
 
-use super::objects::{Cells, Object, Objects};
+use super::objects::{Cells, Objects};
 use super::passes::beam_at;
 use crate::point::CloudPoint;
 
@@ -14,14 +14,6 @@ const FEWEST_CELLS: usize = 8;
 const SPREADS: f64 = 4.0;
 /// Smallest spread, m.
 const LEAST_SPREAD_M: f64 = 0.1;
-/// Largest extent of a low cluster along an axis, m.
-const CLUSTER_M: f64 = 10.0;
-/// Surfaces up to this height above a cluster are considered, m.
-const COVER_M: f64 = 60.0;
-/// Part of a cluster's beams that cross a surface.
-const CROSSING: f64 = 0.8;
-/// Distances from a cluster at which points of its height show that it is ground, m.
-const COMPANIONS_M: [f64; 2] = [5.0, 15.0];
 
 /// Plane of the lowest points around a cell.
 #[derive(Clone, Copy, Debug)]
@@ -148,7 +140,7 @@ impl LowSurface {
             let (dx, dy) = (ox - x, oy - y);
             let above_m = oz - plane.height_at(ox, oy);
             if dx * dx + dy * dy <= reach_m * reach_m && (least_m..=band_m).contains(&above_m) {
-                quadrants |= quadrant(dx, dy);
+                quadrants |= 1 << (u32::from(dx > 0.0) * 2 + u32::from(dy > 0.0));
             }
         }
         quadrants == 0b1111
@@ -177,7 +169,7 @@ impl LowSurface {
             let (dx, dy) = (ox - x, oy - y);
             if dx * dx + dy * dy <= reach_m * reach_m {
                 n_below += u32::from(oz < z + 0.8 * self.depth_m);
-                quadrants |= quadrant(dx, dy);
+                quadrants |= 1 << (u32::from(dx > 0.0) * 2 + u32::from(dy > 0.0));
             }
         }
         // The point is one of those that are not above it.
@@ -187,83 +179,6 @@ impl LowSurface {
     fn plane_at(&self, position_m: [f64; 3]) -> Option<&Plane> {
         self.planes.get(&key(cell_of(position_m, self.cell_m)))
     }
-}
-
-/// Whether an object is a low cluster: its beams cross a surface above it, and nothing around has its height.
-///
-/// Unlike the planes of [`LowSurface`], this also holds next to cliffs and terraces.
-pub(super) fn is_cluster(points: &[CloudPoint], objects: &Objects, object: &Object) -> bool {
-    if object.extent_m() > CLUSTER_M || object.n_points < 2 {
-        return false;
-    }
-    let mut own: Vec<usize> = objects.points_of(object).collect();
-    own.sort_unstable();
-    let is_other = |at: usize| own.binary_search(&at).is_err();
-    let n_crossing = own.iter().filter(|&&at| is_below_last_returns(points, objects, at, is_other)).count();
-    n_crossing as f64 >= CROSSING * own.len() as f64 && !has_companions(points, objects, object, is_other)
-}
-
-/// Whether the beam of a point passes last returns on all four sides of it, at one height above the point.
-fn is_below_last_returns(
-    points: &[CloudPoint],
-    objects: &Objects,
-    at: usize,
-    is_other: impl Fn(usize) -> bool + Copy,
-) -> bool {
-    let reach_m = (2.5 * objects.scale_m).max(1.5);
-    let lowest_m = points[at].position_m[2] + 1.0;
-    (0..(COVER_M / 2.0) as u32).any(|layer| {
-        let z = lowest_m + 2.0 * f64::from(layer);
-        let [x, y] = beam_at(&points[at], z);
-        let near =
-            objects.points_in([x - reach_m, y - reach_m, z - 1.0], [x + reach_m, y + reach_m, z + 1.0]);
-        let quadrants = near
-            .filter(|&other| is_other(other) && points[other].may_be_last())
-            .map(|other| points[other].position_m)
-            .filter(|p| (p[2] - z).abs() <= 1.0 && distance_m(p, [x, y]) <= reach_m)
-            .fold(0, |quadrants, p| quadrants | quadrant(p[0] - x, p[1] - y));
-        quadrants == 0b1111
-    })
-}
-
-/// Whether points around an object, in several directions, have its height.
-fn has_companions(
-    points: &[CloudPoint],
-    objects: &Objects,
-    object: &Object,
-    is_other: impl Fn(usize) -> bool,
-) -> bool {
-    let [x, y, z] = [0, 1, 2].map(|axis| 0.5 * (object.low_m[axis] + object.high_m[axis]));
-    let [nearest_m, farthest_m] = COMPANIONS_M;
-    let half_m = 0.5 * (object.high_m[2] - object.low_m[2]);
-    let tall_m = half_m + 0.5 + 0.1 * farthest_m;
-    let near = objects.points_in(
-        [x - farthest_m, y - farthest_m, z - tall_m],
-        [x + farthest_m, y + farthest_m, z + tall_m],
-    );
-    let quadrants = near.filter(|&other| is_other(other)).map(|other| points[other].position_m).fold(
-        0u32,
-        |quadrants, p| {
-            let away_m = distance_m(&p, [x, y]);
-            let is_level = (p[2] - z).abs() <= half_m + 0.5 + 0.1 * away_m;
-            if is_level && (nearest_m..=farthest_m).contains(&away_m) {
-                quadrants | quadrant(p[0] - x, p[1] - y)
-            } else {
-                quadrants
-            }
-        },
-    );
-    quadrants.count_ones() >= 2
-}
-
-/// Horizontal distance, m.
-fn distance_m(p: &[f64; 3], [x, y]: [f64; 2]) -> f64 {
-    ((p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y)).sqrt()
-}
-
-/// Bit of the quadrant of an offset.
-fn quadrant(dx: f64, dy: f64) -> u32 {
-    1 << (u32::from(dx > 0.0) * 2 + u32::from(dy > 0.0))
 }
 
 /// Plane of the lowest points around a cell, without its own.

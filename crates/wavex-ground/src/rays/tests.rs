@@ -158,21 +158,3 @@ fn objects_of_chance_are_larger_where_noise_is_dense() {
     assert_eq!(fewest_points(0.02), 3);
     assert!(fewest_points(0.3) > 5 && fewest_points(5.0) == 12);
 }
-
-#[test]
-fn low_clusters_beside_a_cliff_are_marked() {
-    let mut random = Random::new(5);
-    let mut points: Vec<CloudPoint> = (0..40_000)
-        .map(|_| {
-            let (x, y) = (random.between(0.0, 100.0), random.between(0.0, 100.0));
-            CloudPoint::at([x, y, if x < 50.0 { 0.0 } else { 50.0 }])
-        })
-        .collect();
-    let n = points.len();
-    points.extend((0..40).map(|_| {
-        CloudPoint::at([random.between(54.0, 56.0), random.between(50.0, 52.0), random.between(25.0, 26.0)])
-    }));
-    let classes = classes_of(&points);
-    assert!(classes[..n].iter().all(|class| *class == Class::Unclassified));
-    assert!(classes[n..].iter().all(|class| *class == Class::LowNoise), "{:?}", &classes[n..]);
-}
