@@ -5,6 +5,7 @@ use std::sync::Arc;
 use wavex::registry;
 use wavex::scan_line::{Blocks, Content, Emission, Frame, InputInfo, Return, ScanLine};
 use wavex::stage::{Context, Output, Plan, RunContext};
+use wavex_geodesy::crs::wkt_of_epsg;
 use wavex_testkit::engine_stages::stage;
 
 const SHOTS: u32 = 80;
@@ -152,7 +153,21 @@ fn blocks_are_shorter_if_memory_is_short() {
 
 #[test]
 fn points_outside_a_map_pass_through() {
-    let (lines, cx) = run("", flight(Frame::Scanner), usize::MAX);
-    assert_eq!(of_class(&lines, 0).len(), 140 * 80 - 1);
-    assert_eq!(cx.counters().notes.len(), 1);
+    let in_system = |epsg| {
+        let input = Arc::new(InputInfo {
+            crs_wkt: wkt_of_epsg(epsg),
+            ..flight(Frame::Map)[0].input.as_ref().clone()
+        });
+        let mut lines = flight(Frame::Map);
+        lines.iter_mut().for_each(|line| line.input = Arc::clone(&input));
+        lines
+    };
+    for lines in [flight(Frame::Scanner), in_system(4326), in_system(4978)] {
+        let (lines, cx) = run("", lines, usize::MAX);
+        assert_eq!(of_class(&lines, 0).len(), 140 * 80 - 1);
+        let [note] = &cx.counters().notes[..] else { panic!("one warning") };
+        assert!(note.contains("in degrees or not in a map"), "{note}");
+    }
+    let (lines, cx) = run("", in_system(32633), usize::MAX);
+    assert_eq!((of_class(&lines, 7), cx.counters().notes.len()), (vec![(20, 40)], 0));
 }

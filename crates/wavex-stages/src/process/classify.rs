@@ -37,8 +37,8 @@ pub const STAGE: StageSpec = StageSpec::transform::<Classify>("classify", &[Kind
 /// cannot hold them, blocks are shorter, and the report says so. Only points of one flight line are compared;
 /// `wavex classify` compares all points of several files.
 ///
-/// Returns that an earlier stage has withheld keep their class and are not used. Without map coordinates, lines pass through
-/// unchanged, with a warning. Water is not recognised.
+/// Returns that an earlier stage has withheld keep their class and are not used. Without map coordinates, or in degrees, lines pass
+/// through unchanged, with a warning. Water is not recognised.
 ///
 /// With `height_above_ground`, each point gets its height above the triangulated ground points of its block, in metres; it is
 /// unknown outside the triangulation. `write_las` and `write_table` write it.
@@ -191,7 +191,10 @@ impl Classifier {
 impl Transform for Classifier {
     fn process(&mut self, mut line: ScanLine, out: &mut Output) -> Result<()> {
         let Some(cloud) = self.clouds.of(&line) else {
-            out.cx.warn("points that are not in a map cannot be classified: give [job.geometry] a `trajectory` and a `crs`");
+            out.cx.warn(
+                "points that are in degrees or not in a map cannot be classified: give [job.geometry] a `trajectory` and a \
+                 projected `crs`, such as \"utm\"",
+            );
             self.blocks.finish(out)?;
             return out.emit(line);
         };

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use wavex_geodesy::crs::units_of_wkt;
+use wavex_geodesy::crs::{Crs, units_of_wkt};
 use wavex_geodesy::vertical::down_at;
 use wavex_ground::point::CloudPoint;
 use wavex_line::scan_line::{Emission, Frame, InputInfo, Return, ScanLine};
@@ -10,8 +10,8 @@ use wavex_line::scan_line::{Emission, Frame, InputInfo, Return, ScanLine};
 /// Makes clouds from lines with points in a map.
 #[derive(Debug, Default)]
 pub(super) struct CloudOfMap {
-    /// Metadata of the last line, and the lengths of the units of its points, m.
-    units: Option<(Arc<InputInfo>, [f64; 2])>,
+    /// Metadata of the last line, and the lengths of the units of its points, m; none if they are not in a map.
+    units: Option<(Arc<InputInfo>, Option<[f64; 2]>)>,
 }
 
 impl CloudOfMap {
@@ -19,10 +19,7 @@ impl CloudOfMap {
     ///
     /// Withheld returns get coordinates that are not numbers: they are not classified.
     pub(super) fn of(&mut self, line: &ScanLine) -> Option<Vec<CloudPoint>> {
-        if !line.input.frame.is_georeferenced() {
-            return None;
-        }
-        let [map_m, height_m] = self.units_of(&line.input);
+        let [map_m, height_m] = self.units_of(&line.input)?;
         let (returns, points) = (line.returns()?, line.points()?);
         let beams = MapBeams::of(line, returns, points);
         let unknown = Emission::default();
@@ -40,11 +37,16 @@ impl CloudOfMap {
         Some(cloud.collect())
     }
 
-    fn units_of(&mut self, input: &Arc<InputInfo>) -> [f64; 2] {
+    fn units_of(&mut self, input: &Arc<InputInfo>) -> Option<[f64; 2]> {
         match &self.units {
             Some((known, units)) if Arc::ptr_eq(known, input) => *units,
             _ => {
-                let units = input.crs_wkt.as_deref().map_or([1.0; 2], units_of_wkt);
+                let wkt = input.crs_wkt.as_deref();
+                let is_map = wkt
+                    .and_then(Crs::horizontal_of_wkt)
+                    .is_none_or(|system| !system.is_geodetic() && !system.is_ecef());
+                let units =
+                    (input.frame.is_georeferenced() && is_map).then(|| wkt.map_or([1.0; 2], units_of_wkt));
                 self.units = Some((Arc::clone(input), units));
                 units
             }
