@@ -3,7 +3,6 @@
 
 pub mod filter;
 pub mod height;
-pub mod hillshade;
 pub mod point;
 pub mod rays;
 pub mod terrain;
