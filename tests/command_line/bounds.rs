@@ -90,6 +90,7 @@ fn chain(spec: &StageSpec, keys: &str) -> String {
     let needed: &[&str] = match spec.accepts {
         [] => &[],
         _ if spec.name == "decompose" => &["simulate", "calibrate"],
+        _ if spec.name == "write_dem" => &["simulate", "calibrate", "decompose", "georeference", "classify"],
         [Kind::Shots | Kind::Footprints, ..] => &["simulate"],
         [Kind::Returns, ..] => &["simulate", "calibrate", "decompose"],
         [Kind::Points, ..] => &["simulate", "calibrate", "decompose", "georeference"],
