@@ -75,7 +75,7 @@ def return_rows():
                 n, None if n % 5 == 4 else 1000 + n / 2, index + 1, n % 3, ["low", "high", "joint"][n // 3 % 3],
                 2 if n % 2 else None, distance, 0.0015, distance / 0.15, 0.01, 0.1 + 0.2, 0.9,
                 None if index else 12.5, 1.0, 0.0625, 4.5, 0.0, math.nan, -0.5, 70.0, 1.0, 0x100, index == 1,
-                20 * index, *point, 0.04 if n % 4 == 0 else None, *[None] * 18,
+                20 * index, *point, 0.04 if n % 4 == 0 else None, *[None] * 19,
             ]
 
 

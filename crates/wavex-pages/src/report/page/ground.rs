@@ -134,7 +134,7 @@ mod tests {
         let map = json!({
             "axes": "coordinates", "unit": "m", "west": 0, "south": 0, "cell": 2, "columns": 10, "rows": 10, "points": 1000,
             "outside": 0, "heights": "", "height_range_m": [0, 1], "intensities": "", "intensity_range": [0, 1],
-            "median_density": 2, "lines": [], "ground": "", "ground_range": [95.25, 130],
+            "median_density": 2, "lines": [], "ground": "", "ground_range": [95.3, 130],
             "densities": {"area_m2": 400, "cells": 100, "pulses": density, "points": density},
         });
         let lines = json!({"lines_per_group": 1, "lines": "", "waveforms": "", "returns": "", "points": ""});

@@ -104,7 +104,7 @@ fn without_any_correction_returns_pass_as_they_are() {
     let (lines, notes) = run(&nothing(), vec![line_of(map(), vec![before])]);
     let after = first(&lines);
     assert!(after.amplitude_db.is_nan() && notes.is_empty());
-    let known = |r: Return| Return { amplitude_db: 0.0, total_sd_m: 0.0, ..r };
+    let known = |r: Return| Return { amplitude_db: 0.0, total_sd_m: 0.0, height_above_ground_m: 0.0, ..r };
     assert_eq!(known(after), known(before));
     let stats = &lines[0].stats;
     assert_eq!((stats.np_range, stats.np_atm, stats.np_ibrc, stats.np_ibic), (0, 0, 0, 0));

@@ -204,11 +204,11 @@ fn csv_is_text_with_all_digits_and_nothing_for_null() {
     assert_eq!(
         lines[1],
         "10,3.3333333333333335,1,2,low,3,150.0,0.003,1000.0,0.02,0.30000000000000004,0.9,12.5,1.25,0.5,4.5,\
-         0.25,0.125,-1.5,1e-7,NaN,513,true,18,,,,,,,,,,,,,,,,,,,,,,"
+         0.25,0.125,-1.5,1e-7,NaN,513,true,18,,,,,2.5,,,,,,,,,,,,,,,,,,"
     );
     assert!(lines[2].starts_with("11,,1,2,high,3,300.0,"), "{}", lines[2]);
     assert!(lines[3].starts_with("11,,1,2,joint,,"), "{}", lines[3]);
-    assert!(lines[6].ends_with(",513,true,18,7.0,8.0,-9.125,0.0625,,,,,,,,,,,,,,,,,,"), "{}", lines[6]);
+    assert!(lines[6].ends_with(",513,true,18,7.0,8.0,-9.125,0.0625,2.5,,,,,,,,,,,,,,,,,,"), "{}", lines[6]);
 }
 
 #[test]
@@ -220,7 +220,7 @@ fn a_table_without_returns_has_its_columns() {
     assert!(arrow(&folder.path().join("made.arrow")).is_empty());
     let file = File::open(folder.path().join("made.parquet")).unwrap();
     let metadata = ParquetRecordBatchReaderBuilder::try_new(file).unwrap();
-    assert_eq!(metadata.schema().fields().len(), 46);
+    assert_eq!(metadata.schema().fields().len(), 47);
     assert_eq!(metadata.metadata().file_metadata().num_rows(), 0);
     assert_eq!(fs::read_to_string(folder.path().join("made.csv")).unwrap(), format!("{NAMES}\n"));
 }
