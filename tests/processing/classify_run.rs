@@ -38,7 +38,7 @@ fn flight() -> &'static TestFolder {
     })
 }
 
-/// Outputs of a run with so many threads and lines in a queue, by name.
+/// Outputs by name of a run with this number of threads and this length of queues.
 fn outputs(threads: usize, channel_capacity: usize) -> BTreeMap<String, Vec<u8>> {
     let folder = tempfile::tempdir().unwrap();
     let text = job("", "height_above_ground = true");

@@ -44,7 +44,7 @@ pub(super) struct TilePoint {
 /// Points of all clouds by tiles.
 pub(super) struct Tiles<'a> {
     pub(super) kept_classes: &'a [u8],
-    /// Edge of the cells of a surface model, m; `None`: there is none.
+    /// Edge of the cells of the surface model, m; `None` without a surface model.
     pub(super) surface_cell_m: Option<f64>,
     points: Spool<Tile>,
     /// Positions of first returns that take no part but belong to the surface, by cloud.
