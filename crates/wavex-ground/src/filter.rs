@@ -36,6 +36,8 @@ pub struct GroundSettings {
     pub step_m: f64,
     /// See `step_m`.
     pub step_slope: f64,
+    /// Edges of the squares whose mean heights are the trend, for each repetition of the openings, m.
+    pub trends_m: [f64; 2],
     /// Passes of the growth of the ground before climbed roofs are dropped, and after it.
     pub growth_passes: [usize; 2],
     /// Largest height of ground above the plane around it, m, besides the plane's RMS.
@@ -61,6 +63,7 @@ impl Default for GroundSettings {
             largest_radius_m: 40.0,
             step_m: 0.2,
             step_slope: 0.1,
+            trends_m: [64.0, 16.0],
             growth_passes: [5, 2],
             plane_m: 0.3,
             plane_slope_m: 0.3,
@@ -210,6 +213,9 @@ fn spacing(grid: &Grid, cells: &[usize]) -> f64 {
 }
 
 /// Whether the openings leave each node. Their raster has coarser cells if most cells of `grid` are empty.
+///
+/// The openings are repeated with heights above the trend of the ground found so far. On a slope, windows that grow by one
+/// cell lower a large roof in steps that are small enough for ground.
 fn bare_nodes(nodes: &Nodes, grid: &Grid, spacing: f64, settings: &GroundSettings) -> Vec<bool> {
     let coarser = if spacing >= 4.0 {
         4.0
@@ -222,12 +228,25 @@ fn bare_nodes(nodes: &Nodes, grid: &Grid, spacing: f64, settings: &GroundSetting
     let end_m = [grid.origin_m[0] + width_m, grid.origin_m[1] + height_m];
     let coarse = Grid::covering(grid.origin_m, end_m, coarser * grid.cell_m);
     let lowest = lowest(&coarse, &nodes.positions_m, |_| true);
-    let bare_cells = opening::bare_cells(&coarse, &nodes.positions_m, &lowest, settings);
-    let mut is_bare = vec![false; nodes.len()];
-    for (node, is_bare_cell) in lowest.into_iter().zip(bare_cells) {
-        if node != EMPTY {
-            is_bare[node] = is_bare_cell;
+    let heights_m: Vec<f64> = lowest
+        .iter()
+        .map(|&node| if node == EMPTY { f64::NAN } else { nodes.positions_m[node][2] })
+        .collect();
+    let mut is_bare_cell = opening::bare_cells(&coarse, &heights_m, settings);
+    for edge_m in settings.trends_m {
+        let known = |(&height, &is_bare)| if is_bare { height } else { f64::NAN };
+        let ground_m: Vec<f64> = heights_m.iter().zip(&is_bare_cell).map(known).collect();
+        let (squares, trend_m) = surface::trend(&coarse, &ground_m, edge_m);
+        let mut residuals_m = heights_m.clone();
+        for (residual, &node) in residuals_m.iter_mut().zip(&lowest).filter(|(_, node)| **node != EMPTY) {
+            let [x, y, _] = nodes.positions_m[node];
+            *residual -= squares.interpolate(&trend_m, x, y);
         }
+        is_bare_cell = opening::bare_cells(&coarse, &residuals_m, settings);
+    }
+    let mut is_bare = vec![false; nodes.len()];
+    for (node, is_bare_cell) in lowest.into_iter().zip(is_bare_cell).filter(|(node, _)| *node != EMPTY) {
+        is_bare[node] = is_bare_cell;
     }
     is_bare
 }
@@ -304,6 +323,15 @@ mod tests {
         let (points, truth) = scene(160, |x, y| {
             let is_roof = (50.0..70.0).contains(&x) && (50.0..70.0).contains(&y);
             (0.3 * x + if is_roof { 12.0 } else { 0.0 }, !is_roof)
+        });
+        assert!(error(&points, &truth) < 0.005, "{}", error(&points, &truth));
+    }
+
+    #[test]
+    fn wide_roofs_parallel_to_a_slope_are_no_ground() {
+        let (points, truth) = scene(140, |x, y| {
+            let is_roof = (60.0..85.0).contains(&x) && (60.0..85.0).contains(&y);
+            (if is_roof { 4.0 } else { 0.0 } - 0.25 * y, !is_roof)
         });
         assert!(error(&points, &truth) < 0.005, "{}", error(&points, &truth));
     }

@@ -1,7 +1,7 @@
 //! Morphological opening of a raster with squares.
 
 use super::GroundSettings;
-use super::raster::{EMPTY, Grid};
+use super::raster::Grid;
 use super::surface::fill;
 
 /// Opening with a square of `2 radius + 1` cells: highest of the squares' lowest values. Empty cells (infinite) have no
@@ -92,22 +92,16 @@ fn sweep_rows(
     result
 }
 
-/// Whether the lowest point of each cell may be ground: no opening lowers it by more than the slope allows.
+/// Whether the lowest point of each cell may be ground: no opening lowers it by more than the slope allows. Heights of empty
+/// cells are NaN; these are not ground.
 ///
 /// Simple morphological filter (Pingel, Clarke and McBride 2013, doi:10.1016/j.isprsjprs.2012.12.002): each opening starts
 /// from the one with the next smaller window. An object of height h disappears at once, with the first window that is
 /// wider; a hill is lowered little by little.
-pub(super) fn bare_cells(
-    grid: &Grid,
-    positions_m: &[[f64; 3]],
-    cells: &[usize],
-    settings: &GroundSettings,
-) -> Vec<bool> {
-    let known: Vec<f64> =
-        cells.iter().map(|&point| if point == EMPTY { f64::NAN } else { positions_m[point][2] }).collect();
+pub(super) fn bare_cells(grid: &Grid, heights_m: &[f64], settings: &GroundSettings) -> Vec<bool> {
     // Filled, because a slope between sparse points would look like a step of an opening that reaches the next one.
-    let mut heights = fill(grid.columns, grid.rows, &known);
-    let mut is_bare: Vec<bool> = cells.iter().map(|&point| point != EMPTY).collect();
+    let mut heights = fill(grid.columns, grid.rows, heights_m);
+    let mut is_bare: Vec<bool> = heights_m.iter().map(|height| height.is_finite()).collect();
     let largest = (settings.largest_radius_m / grid.cell_m).round() as usize;
     let mut radius = 0;
     while radius < largest {

@@ -59,6 +59,25 @@ pub(super) fn fill(columns: usize, rows: usize, known: &[f64]) -> Vec<f64> {
     values
 }
 
+/// Trend of known cells (NaN: unknown): means of the filled surface over squares, to be interpolated between their centres.
+pub(super) fn trend(grid: &Grid, known: &[f64], edge_m: f64) -> (Grid, Vec<f64>) {
+    let centre_m = |cell: usize| {
+        let at = |index: usize, axis: usize| grid.origin_m[axis] + (index as f64 + 0.5) * grid.cell_m;
+        [at(cell % grid.columns, 0), at(cell / grid.columns, 1), 0.0]
+    };
+    let [first_m, last_m] = [0, grid.len() - 1].map(|cell| [0, 1].map(|axis| centre_m(cell)[axis]));
+    let squares = Grid::covering(first_m, last_m, edge_m.max(grid.cell_m));
+    let mut sums = vec![(0.0, 0u32); squares.len()];
+    for (cell, height_m) in fill(grid.columns, grid.rows, known).into_iter().enumerate() {
+        let (sum, count) = &mut sums[squares.cell(centre_m(cell))];
+        *sum += height_m;
+        *count += 1;
+    }
+    let means: Vec<f64> = sums.iter().map(|&(sum, count)| sum / f64::from(count)).collect();
+    let means = fill(squares.columns, squares.rows, &means);
+    (squares, means)
+}
+
 /// Slope (tangent) of a surface at each cell, from central differences.
 pub(super) fn slopes(grid: &Grid, surface: &[f64]) -> Vec<f64> {
     let mut slopes = Vec::with_capacity(surface.len());
