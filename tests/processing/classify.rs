@@ -599,6 +599,25 @@ fn total_uncertainties_of_clouds_are_used() {
     assert!((4.0..7.0).contains(&sd_cm) && err.contains("assumed to be 5 cm"), "{sd_cm}: {err}");
 }
 
+/// A single point is not found to be ground. If it is known to be, its terrain is one cell, as uncertain as land without
+/// neighbours.
+#[test]
+fn the_terrain_of_one_point_is_uncertain() {
+    let place = TestFolder::new();
+    let change = |_, point: &mut Point| point.classification = Classification::Ground;
+    let one = Scene { change, ..SCENE };
+    place.write("a.laz", &file(&one, points(&one).0.into_iter().take(1).collect()));
+    let words = ["classify", "a.laz", "-o", "b.laz", "--dem", "a.tif"];
+    let message = fails(&place, 1, &words);
+    assert!(message.contains("a.laz: no ground is found"), "{message}");
+    assert!(!place.path("a.tif").exists());
+    succeeds(&place, &[&words[..], &["--keep", "2"]].concat());
+    let mut decoder = Decoder::new(Cursor::new(bytes(&place, "a.tif"))).unwrap();
+    assert_eq!(decoder.dimensions().unwrap(), (1, 1));
+    let DecodingResult::F32(cell) = decoder.read_chunk(0).unwrap() else { panic!() };
+    assert!((cell[0] - 100.0).abs() < 10.0 && (0.1..1.0).contains(&cell[1]) && cell[2] == 1.0, "{cell:?}");
+}
+
 #[test]
 fn terrain_without_ground_is_refused() {
     let place = TestFolder::new();
