@@ -6,8 +6,8 @@ use crate::point::CloudPoint;
 const OCTANTS: usize = 8;
 /// Points per octant for a prediction.
 const PER_OCTANT: usize = 3;
-/// Most points per octant for a prediction.
-const MOST_PER_OCTANT: usize = 24;
+/// Steps between the points chosen for a prediction, tried one after the other.
+const STEPS: [usize; 6] = [1, 2, 4, 8, 16, 32];
 /// Spread of neighbours across their main direction, relative to that along it, that determines both slopes.
 const ENOUGH_SPREAD: f64 = 0.2;
 /// Search radius in multiples of the distance of the eighth nearest point.
@@ -172,7 +172,7 @@ impl PointIndex {
     /// Finds the neighbours for a prediction: [`nearest`](Self::nearest) with three points per octant, or more at gaps.
     ///
     /// At the edge of a gap octants are empty, and the nearest points of the others can be of one scan line, which does
-    /// not determine the slope across it. The octants with points then get more of them.
+    /// not determine the slope across it. The octants with points then get more, chosen at steps from farther ones if needed.
     pub(crate) fn around(&self, at: [f64; 2], hole_m: f64, most_m: f64, found: &mut Vec<Neighbour>) {
         self.nearest(at, PER_OCTANT, hole_m, most_m, found);
         if found.len() >= OCTANTS * PER_OCTANT {
@@ -181,19 +181,28 @@ impl PointIndex {
         let mut is_filled = [false; OCTANTS];
         found.iter().for_each(|n| is_filled[octant(n.offset_m)] = true);
         let filled = is_filled.iter().filter(|filled| **filled).count().max(1);
-        let mut per_octant = (OCTANTS * PER_OCTANT).div_ceil(filled);
-        loop {
-            if per_octant > PER_OCTANT {
-                self.nearest(at, per_octant, hole_m, most_m, found);
+        let per_octant = (OCTANTS * PER_OCTANT).div_ceil(filled);
+        for step in STEPS {
+            if per_octant * step > PER_OCTANT {
+                self.nearest(at, per_octant * step, hole_m, most_m, found);
+                thin(found, step);
             }
-            if per_octant >= MOST_PER_OCTANT
-                || relative_spread(found.iter().map(|n| n.offset_m)) >= ENOUGH_SPREAD
-            {
+            if relative_spread(found.iter().map(|n| n.offset_m)) >= ENOUGH_SPREAD {
                 return;
             }
-            per_octant *= 2;
         }
     }
+}
+
+/// Keeps the nearest points, and of those of each octant one in `step`.
+fn thin(found: &mut Vec<Neighbour>, step: usize) {
+    let (mut n, mut of_octant) = (0, [0; OCTANTS]);
+    found.retain(|neighbour| {
+        let i = &mut of_octant[octant(neighbour.offset_m)];
+        let is_kept = n < OCTANTS || *i % step == 0;
+        (n, *i) = (n + 1, *i + 1);
+        is_kept
+    });
 }
 
 /// Spread of positions across their main direction, relative to the spread along it; 0: on a line.
@@ -275,6 +284,31 @@ mod tests {
                 .collect();
             assert_eq!(found, expected);
         }
+    }
+
+    #[test]
+    fn neighbours_at_the_edge_of_a_gap_are_of_several_scan_lines() {
+        let line = |x: i32| (-300..300).map(move |i| [f64::from(x), 0.1 * f64::from(i), 0.0]);
+        let points: Vec<_> = (-30..=0).flat_map(line).map(CloudPoint::at).collect();
+        let index = PointIndex::new(&points);
+        let spread = |found: &[Neighbour]| relative_spread(found.iter().map(|n| n.offset_m));
+        let mut found = Vec::new();
+        for distance_m in [1.3, 2.5, 6.0] {
+            let at = [distance_m, 0.03];
+            index.nearest(at, PER_OCTANT, -1.0, 50.0, &mut found);
+            assert!(spread(&found) < 1e-6, "{distance_m} {found:?}");
+            index.around(at, -1.0, 50.0, &mut found);
+            let n = found.len();
+            assert!(
+                (24..=32).contains(&n) && spread(&found) >= ENOUGH_SPREAD,
+                "{distance_m} {n} {}",
+                spread(&found)
+            );
+        }
+        // One line alone.
+        let alone: Vec<_> = line(0).map(CloudPoint::at).collect();
+        PointIndex::new(&alone).around([1.5, 0.03], -1.0, 50.0, &mut found);
+        assert!(spread(&found) < 1e-6 && found.len() >= OCTANTS);
     }
 
     #[test]
