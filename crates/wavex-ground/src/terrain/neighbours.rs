@@ -293,7 +293,7 @@ mod tests {
         let index = PointIndex::new(&points);
         let spread = |found: &[Neighbour]| relative_spread(found.iter().map(|n| n.offset_m));
         let mut found = Vec::new();
-        for distance_m in [1.3, 2.5, 6.0] {
+        for distance_m in [1.3, 2.5, 4.0] {
             let at = [distance_m, 0.03];
             index.nearest(at, PER_OCTANT, -1.0, 50.0, &mut found);
             assert!(spread(&found) < 1e-6, "{distance_m} {found:?}");
