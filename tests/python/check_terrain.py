@@ -5,6 +5,11 @@ scan lines of overlapping strips with height errors; in the forest, some hit the
 classification took for ground. The program models the terrain, and the errors at the centres of cells, divided by their
 standard deviations, must have an SD between 0.9 and 1.1 by land cover and by distance to the nearest point.
 
+The errors of an area are not independent: its few strips share theirs, and a wide gap is one event with hundreds of cells. The
+sampling error of each SD is found by bootstrap over the areas. A right program exceeds the bounds by chance where twice this
+error is more than 0.1. The bound is then twice the sampling error, but at most 0.25. With fewer than eight areas it is always 0.1.
+Each run verifies that SDs that are 0.7 or 1.4 times as large fail.
+
 usage: check_terrain.py PROGRAM [--quick] [--worlds N] [--first SEED] [--cell M] [--classify]
 
 PROGRAM is the example `terrain_cells` of the crate wavex-ground
@@ -25,6 +30,10 @@ import numpy as np
 COVERS = ("open", "forest", "town")
 LIMITS_M = [0, 0.35, 0.7, 1.4, 2.8, 5.6, 11.2, 30]
 BIAS_LIMIT_M = 0.02
+# Deviation of the SD from 1 that is accepted, and the largest one that a sampling error excuses.
+SPREAD_LIMIT, MOST_SPREAD_LIMIT = 0.1, 0.25
+# Fewest areas with a class for its sampling error.
+FEWEST_AREAS = 8
 
 
 class Field:
@@ -180,25 +189,46 @@ def linear(points, cells):
     return LinearNDInterpolator(points[:, :2] , points[:, 2])(cells[:, :2])
 
 
+def spread_of(sums):
+    """SD of deviations from their number, sum and sum of squares by area."""
+    n, first, second = sums.sum(axis=-2).T
+    return np.sqrt(second / n - (first / n) ** 2)
+
+
+def sampling_error(sums):
+    """SD of `spread_of` by bootstrap over the areas; NaN if there are too few."""
+    sums = sums[sums[:, 0] > 0]
+    if len(sums) < FEWEST_AREAS:
+        return np.nan
+    chosen = np.random.default_rng(1).integers(0, len(sums), (2000, len(sums)))
+    return spread_of(sums[chosen]).std()
+
+
 def judged(rows, quiet=False):
     """Prints deviations by cover and distance; returns what is out of bounds."""
     cover, distance, error, sd = rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3]
+    areas = [rows[:, 5] == area for area in np.unique(rows[:, 5])]
     wrong = []
     classes = [(name, cover == k) for k, name in enumerate(COVERS)]
     classes += [
         (f"{low} to {high} m", (distance >= low) & (distance < high)) for low, high in zip(LIMITS_M, LIMITS_M[1:])
     ]
     if not quiet:
-        print(f"{'class':14} {'cells':>8} {'bias cm':>8} {'RMS cm':>8} {'SD cm':>8} {'SD of z':>8} {'robust':>7} {'TIN RMS':>8}")
+        print(
+            f"{'class':14} {'cells':>8} {'bias cm':>8} {'RMS cm':>8} {'SD cm':>8} {'SD of z':>8} {'+-':>5} {'bound':>6}"
+            f" {'robust':>7} {'TIN RMS':>8}"
+        )
     for name, inside in classes:
         if inside.sum() < 300:
             continue
-        z = error[inside] / sd[inside]
-        spread = z.std()
-        robust = 1.4826 * np.median(np.abs(z - np.median(z)))
+        z = error / sd
+        sums = np.array([[(at := z[inside & area]).size, at.sum(), (at**2).sum()] for area in areas])
+        spread, sampling = spread_of(sums), sampling_error(sums)
+        limit = SPREAD_LIMIT if np.isnan(sampling) else np.clip(2 * sampling, SPREAD_LIMIT, MOST_SPREAD_LIMIT)
+        robust = 1.4826 * np.median(np.abs(z[inside] - np.median(z[inside])))
         bias = error[inside].mean()
-        if not 0.9 <= spread <= 1.1:
-            wrong.append(f"{name}: SD of deviations {spread:.2f}")
+        if not abs(spread - 1) <= limit:
+            wrong.append(f"{name}: SD of deviations {spread:.2f} +- {sampling:.2f}, not within {limit:.2f} of 1")
         # Errors of strips are the same in the open.
         relative = bias - error[cover == 0].mean()
         if name == "forest" and abs(relative) > BIAS_LIMIT_M:
@@ -207,7 +237,7 @@ def judged(rows, quiet=False):
         if not quiet:
             print(
                 f"{name:14} {inside.sum():8} {100 * bias:8.2f} {rms(error[inside]):8.2f} {rms(sd[inside]):8.2f}"
-                f" {spread:8.2f} {robust:7.2f} {rms(rows[inside, 4]):8.2f}"
+                f" {spread:8.2f} {sampling:5.2f} {limit:6.2f} {robust:7.2f} {rms(rows[inside, 4]):8.2f}"
             )
     return wrong
 
@@ -234,15 +264,17 @@ def main():
         tin = linear(points, cells)
         truth = world.height(cells[:, 0], cells[:, 1])
         tin_error = np.full(len(cells), np.nan) if tin is None else tin - truth
-        rows.append(np.column_stack([world.cover(cells[:, 0]), cells[:, 5], cells[:, 2] - truth, cells[:, 3], tin_error]))
+        rows.append(np.column_stack([world.cover(cells[:, 0]), cells[:, 5], cells[:, 2] - truth, cells[:, 3], tin_error, np.full(len(cells), seed)]))
     rows = np.concatenate(rows)
     wrong = judged(rows)
+    for factor in (0.5, 2.0) if arguments.quick else (0.7, 1.4):
+        scaled = rows.copy()
+        scaled[:, 3] *= factor
+        found = judged(scaled, quiet=True)
+        assert found, f"SDs {factor} times as large are not found"
+        print(f"SDs {factor} times as large: {len(found)} findings")
     if arguments.quick:
         # One small world has few strips: only the script is judged.
-        for factor in (0.5, 2.0):
-            scaled = rows.copy()
-            scaled[:, 3] *= factor
-            assert judged(scaled, quiet=True), "wrong SDs are not found"
         shifted = rows.copy()
         shifted[shifted[:, 0] == 1, 2] += 0.1
         assert any("bias" in line for line in judged(shifted, quiet=True)), "a bias is not found"

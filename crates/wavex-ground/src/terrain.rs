@@ -21,7 +21,6 @@ use rayon::prelude::*;
 use crate::point::CloudPoint;
 pub use kriging::Smoothness;
 use kriging::Target;
-use learn::PER_OCTANT;
 pub use learn::learn_terrain;
 pub use model::{Assumption, PointSds, TerrainModel};
 use model::{NODE_M, NODE_REACH_M, Scratch, data_of};
@@ -109,7 +108,7 @@ pub fn terrain_of_tile(
             if !mask[i] && tile.n_points[i] == 0.0 {
                 return [f32::NAN; 3];
             }
-            index.nearest(at, PER_OCTANT, -1.0, options.widest_gap_m, &mut scratch.found);
+            index.around(at, -1.0, options.widest_gap_m, &mut scratch.found);
             let Some(nearest) = scratch.found.first() else { return [f32::NAN; 3] };
             let distance_m = nearest.distance_squared.sqrt();
             let parts = model.parts(nodes.at(at));

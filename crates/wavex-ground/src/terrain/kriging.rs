@@ -6,6 +6,8 @@
 //! from the points as far as the data say. Points have independent noise of variance `n² d`, and the
 //! points of a strip share an error of variance `s²`.
 
+use super::neighbours::relative_spread;
+
 /// Generalised covariance of the terrain by distance `h` in m, for variances of 1 m².
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Smoothness {
@@ -120,14 +122,7 @@ impl Kriging {
         let n = data.len();
         self.n = n;
         let extent = data.iter().map(|d| d.offset_m[0].abs().max(d.offset_m[1].abs())).fold(1e-3, f64::max);
-        let mean = [0, 1].map(|i| data.iter().map(|d| d.offset_m[i]).sum::<f64>() / n as f64);
-        let moment = |i: usize, j: usize| {
-            data.iter().map(|d| (d.offset_m[i] - mean[i]) * (d.offset_m[j] - mean[j])).sum::<f64>()
-        };
-        let (xx, xy, yy) = (moment(0, 0), moment(0, 1), moment(1, 1));
-        let half = 0.5 * (xx + yy);
-        let root = (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
-        let is_plane = n > 4 && half - root > LEAST_SPREAD * LEAST_SPREAD * (half + root);
+        let is_plane = n > 4 && relative_spread(data.iter().map(|d| d.offset_m)) > LEAST_SPREAD;
         let others = strips.get(1..).unwrap_or_default();
         let planar = if is_plane { 3 } else { 1 };
         self.p = (planar + others.len()).min(MOST_DRIFT);

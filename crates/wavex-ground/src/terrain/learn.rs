@@ -23,8 +23,6 @@ const FEWEST_POINTS: usize = 60;
 const HOLES_M: [f64; 7] = [0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 /// Distance to the edge of a sample within which points are not predicted, m: nothing is beyond the edge.
 const EDGE_M: f64 = 20.0;
-/// Points per octant for a prediction.
-pub(crate) const PER_OCTANT: usize = 3;
 /// Iterations of the prior's estimate (expectation, maximisation).
 const ITERATIONS: usize = 30;
 /// Share of the prior that is spread over all values, for terrain that the samples lack.
@@ -281,7 +279,7 @@ fn left_out(model: &TerrainModel, indices: &[PointIndex], most_m: f64) -> Vec<Le
             for hole_m in HOLES_M {
                 let variances = model.variances_at(index, at, hole_m, scratch);
                 let parts = model.parts(variances);
-                index.nearest(at, PER_OCTANT, hole_m, most_m, &mut scratch.found);
+                index.around(at, hole_m, most_m, &mut scratch.found);
                 let Some(nearest) = scratch.found.first() else { break };
                 let distance_m = nearest.distance_squared.sqrt();
                 data_of(index, model.typical_sd_m, &scratch.found, &mut scratch.data);

@@ -4,6 +4,12 @@ use crate::point::CloudPoint;
 
 /// Number of directions that are searched separately.
 const OCTANTS: usize = 8;
+/// Points per octant for a prediction.
+const PER_OCTANT: usize = 3;
+/// Steps between the points chosen for a prediction, tried one after the other.
+const STEPS: [usize; 6] = [1, 2, 4, 8, 16, 32];
+/// Spread of neighbours across their main direction, relative to that along it, that determines both slopes.
+const ENOUGH_SPREAD: f64 = 0.2;
 /// Search radius in multiples of the distance of the eighth nearest point.
 const REACH: f64 = 6.0;
 /// Mean number of points in a bucket.
@@ -143,7 +149,7 @@ impl PointIndex {
                     }
                     let neighbour = Neighbour { distance_squared, offset_m: [dx, dy], index: i };
                     insert(&mut nearest, neighbour, OCTANTS);
-                    insert(&mut octants[octant(dx, dy)], neighbour, per_octant);
+                    insert(&mut octants[octant([dx, dy])], neighbour, per_octant);
                 }
             };
             for bx in centre[0] - ring..=centre[0] + ring {
@@ -162,6 +168,53 @@ impl PointIndex {
         found.extend(nearest.iter().filter(|n| !octants.iter().any(|list| list.contains(n))));
         found.sort_unstable_by(order);
     }
+
+    /// Finds the neighbours for a prediction: [`nearest`](Self::nearest) with three points per octant, or more at gaps.
+    ///
+    /// At the edge of a gap octants are empty, and the nearest points of the others can be of one scan line, which does
+    /// not determine the slope across it. The octants with points then get more, chosen at steps from farther ones if needed.
+    pub(crate) fn around(&self, at: [f64; 2], hole_m: f64, most_m: f64, found: &mut Vec<Neighbour>) {
+        self.nearest(at, PER_OCTANT, hole_m, most_m, found);
+        if found.len() >= OCTANTS * PER_OCTANT {
+            return;
+        }
+        let mut is_filled = [false; OCTANTS];
+        found.iter().for_each(|n| is_filled[octant(n.offset_m)] = true);
+        let filled = is_filled.iter().filter(|filled| **filled).count().max(1);
+        let per_octant = (OCTANTS * PER_OCTANT).div_ceil(filled);
+        for step in STEPS {
+            if per_octant * step > PER_OCTANT {
+                self.nearest(at, per_octant * step, hole_m, most_m, found);
+                thin(found, step);
+            }
+            if relative_spread(found.iter().map(|n| n.offset_m)) >= ENOUGH_SPREAD {
+                return;
+            }
+        }
+    }
+}
+
+/// Keeps the nearest points, and of those of each octant one in `step`.
+fn thin(found: &mut Vec<Neighbour>, step: usize) {
+    let (mut n, mut of_octant) = (0, [0; OCTANTS]);
+    found.retain(|neighbour| {
+        let i = &mut of_octant[octant(neighbour.offset_m)];
+        let is_kept = n < OCTANTS || *i % step == 0;
+        (n, *i) = (n + 1, *i + 1);
+        is_kept
+    });
+}
+
+/// Spread of positions across their main direction, relative to the spread along it; 0: on a line.
+pub(crate) fn relative_spread(offsets: impl Iterator<Item = [f64; 2]> + Clone) -> f64 {
+    let n = offsets.clone().count() as f64;
+    let mean = [0, 1].map(|i| offsets.clone().map(|d| d[i]).sum::<f64>() / n);
+    let moment =
+        |i: usize, j: usize| offsets.clone().map(|d| (d[i] - mean[i]) * (d[j] - mean[j])).sum::<f64>();
+    let (xx, xy, yy) = (moment(0, 0), moment(0, 1), moment(1, 1));
+    let half = 0.5 * (xx + yy);
+    let root = (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
+    if half + root > 0.0 { ((half - root).max(0.0) / (half + root)).sqrt() } else { 0.0 }
 }
 
 fn order(a: &Neighbour, b: &Neighbour) -> std::cmp::Ordering {
@@ -183,7 +236,7 @@ fn insert(list: &mut Vec<Neighbour>, neighbour: Neighbour, most: usize) {
 }
 
 /// Octant of a direction, half open: each direction belongs to one.
-fn octant(dx: f64, dy: f64) -> usize {
+fn octant([dx, dy]: [f64; 2]) -> usize {
     let steep = dx.abs() < dy.abs();
     usize::from(dx < 0.0) | usize::from(dy < 0.0) << 1 | usize::from(steep) << 2
 }
@@ -223,7 +276,7 @@ mod tests {
                 .enumerate()
                 .filter(|(i, n)| {
                     let p = index.points[n.index as usize].position_m;
-                    let of = &mut used[octant(p[0] - at[0], p[1] - at[1])];
+                    let of = &mut used[octant([p[0] - at[0], p[1] - at[1]])];
                     *of += 1;
                     n.distance_squared <= limit && (*of <= 2 || *i < 8)
                 })
@@ -231,6 +284,31 @@ mod tests {
                 .collect();
             assert_eq!(found, expected);
         }
+    }
+
+    #[test]
+    fn neighbours_at_the_edge_of_a_gap_are_of_several_scan_lines() {
+        let line = |x: i32| (-300..300).map(move |i| [f64::from(x), 0.1 * f64::from(i), 0.0]);
+        let points: Vec<_> = (-30..=0).flat_map(line).map(CloudPoint::at).collect();
+        let index = PointIndex::new(&points);
+        let spread = |found: &[Neighbour]| relative_spread(found.iter().map(|n| n.offset_m));
+        let mut found = Vec::new();
+        for distance_m in [1.3, 2.5, 4.0] {
+            let at = [distance_m, 0.03];
+            index.nearest(at, PER_OCTANT, -1.0, 50.0, &mut found);
+            assert!(spread(&found) < 1e-6, "{distance_m} {found:?}");
+            index.around(at, -1.0, 50.0, &mut found);
+            let n = found.len();
+            assert!(
+                (24..=32).contains(&n) && spread(&found) >= ENOUGH_SPREAD,
+                "{distance_m} {n} {}",
+                spread(&found)
+            );
+        }
+        // One line alone.
+        let alone: Vec<_> = line(0).map(CloudPoint::at).collect();
+        PointIndex::new(&alone).around([1.5, 0.03], -1.0, 50.0, &mut found);
+        assert!(spread(&found) < 1e-6 && found.len() >= OCTANTS);
     }
 
     #[test]

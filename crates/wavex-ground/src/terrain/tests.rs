@@ -113,6 +113,27 @@ fn the_error_of_strips_is_learnt_from_their_overlap() {
 }
 
 #[test]
+fn slopes_continue_into_gaps_along_scan_lines() {
+    // Scan lines 1 m apart along north, with points every 0.3 m; none from 5040 to 5060 m.
+    let surface = |x: f64, y: f64| height(x, y) + 0.5 * (x - 5040.0);
+    let points: Vec<CloudPoint> = (0..84 * 40)
+        .map(|i| {
+            let line = 5000.0 + f64::from(i / 40);
+            let (x, y) = (if line > 5040.0 { line + 19.0 } else { line }, 0.3 * f64::from(i % 40 - 20));
+            let noise = 0.03 * (f64::from(i * 7 % 11) / 11.0 - 0.5);
+            CloudPoint::at([x, y, surface(x, y) + noise])
+        })
+        .collect();
+    let model = model(&points);
+    let tile = terrain_of_tile(&points, cells(5041, 1, 2, 4), 1.0, &model, &TerrainOptions::default());
+    for (i, (z, sd)) in tile.height_m.iter().zip(&tile.sd_m).enumerate() {
+        let (x, y) = (5041.5 + (i % 2) as f64, 1.5 - (i / 2) as f64);
+        let error_m = f64::from(*z) - surface(x, y);
+        assert!(error_m.abs() < 0.1 && error_m.abs() < 3.0 * f64::from(*sd), "{x} {y}: {error_m} {sd}");
+    }
+}
+
+#[test]
 fn a_plant_among_ground_points_does_not_raise_the_terrain() {
     let mut points = hills(0.0);
     let model = model(&points);
