@@ -51,8 +51,9 @@ pub fn model(noise: &ArNoise) -> ChannelModel {
 fn model_of(noise: &ArNoise, [decay_ns, after_pulse, tail]: [f64; 3]) -> ChannelModel {
     let noise = &recorded(noise);
     let narrow = |t: f64| (-0.5 * (t / 1.65).powi(2)).exp();
-    let main =
-        |t: f64| (0..200).map(|i| f64::from(i) * 0.05).map(|d| (-d / decay_ns).exp() * narrow(t - d)).sum::<f64>();
+    let main = |t: f64| {
+        (0..200).map(|i| f64::from(i) * 0.05).map(|d| (-d / decay_ns).exp() * narrow(t - d)).sum::<f64>()
+    };
     let slow = |t: f64| if t > 3.0 { (1.0 - (-(t - 3.0) / 4.0).exp()) * (-t / 30.0).exp() } else { 0.0 };
     let value = |t: f64| main(t) / main(0.7) + after_pulse * narrow((t - 11.0) / 1.2) + tail * slow(t);
     let (mut peak, mut place) = (0.0, 0.0);
@@ -207,7 +208,8 @@ impl Waveforms {
             if matches!(scene, Scene::Close) && place > (length - 16) as f64 {
                 break;
             }
-            let widened = matches!(scene, Scene::Mixed | Scene::Forest | Scene::Close) && random.uniform() < 0.4;
+            let widened =
+                matches!(scene, Scene::Mixed | Scene::Forest | Scene::Close) && random.uniform() < 0.4;
             let pulse = Pulse {
                 height_dn: heights_dn[0] + (heights_dn[1] - heights_dn[0]) * random.uniform(),
                 position_samples: place,

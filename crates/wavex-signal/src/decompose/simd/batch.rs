@@ -8,7 +8,7 @@ use super::fit_queue::{add, take_off};
 use super::fitted::FittedPulse;
 use super::initial_guess::{ClearForStep, FromBank, OneStep};
 use super::level::{SetLevels, widen};
-use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseModel};
+use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseComponent, PulseModel};
 use super::rows::FAST_BATCH;
 use super::single_pulse::FitSingles;
 use super::workspace::{ChiSquares, Decompose, DetectionBuffers, FitBuffers, Workspace};
@@ -43,13 +43,13 @@ impl Decompose<'_> {
             Mode::Refined => {
                 self.set_all_due();
                 self.fit_clusters(1);
-                // Repeated on the residuals of the fitted neighbours.
-                self.keep_due(2);
-                self.fit_clusters(1);
                 // Repeated if the new positions and widths result in other clusters than those
-                // fitted.
-                self.keep_due(MAX_PULSES + 1);
-                self.fit_clusters(1);
+                // fitted, or a fit has no optimum. Other clusters need no second fit: a pulse
+                // reaches only the clusters after it, which were fitted after it.
+                for _ in 0..2 {
+                    self.keep_due(false);
+                    self.fit_clusters(1);
+                }
             }
         }
         if self.tables.level.is_some() {
@@ -102,7 +102,7 @@ impl Decompose<'_> {
             if moved.is_empty() || round + 1 == LEVEL_ROUNDS {
                 return;
             }
-            self.keep_due(1);
+            self.keep_due(true);
             let Workspace { pulse_models, which, fits, .. } = &mut *self.work;
             which.clone_from(&fits.due);
             which.iter().for_each(|&row| pulse_models[row].reopen());
@@ -151,20 +151,20 @@ impl Decompose<'_> {
         let Workspace { pulse_models, fits: FitBuffers { due, .. }, .. } = &mut *self.work;
         due.clear();
         due.extend((0..pulse_models.len()).filter(|&row| pulse_models[row].needs_fit()));
-        self.keep_due(1);
+        self.keep_due(true);
     }
 
-    /// Keeps the due waveforms with enough clusters or with changed clusters.
-    ///
-    /// `clusters` is the required number of clusters.
-    fn keep_due(&mut self, clusters: usize) {
+    /// Keeps the due waveforms with pulses; unless `all`, only those whose clusters have changed or
+    /// have a pulse that is not fitted.
+    fn keep_due(&mut self, all: bool) {
         let fwhm = self.fwhm();
         let Workspace { pulse_models, fits, .. } = &mut *self.work;
         fits.due.retain(|&row| {
             let pulse_model = &mut pulse_models[row];
             pulse_model.sort();
             let others = pulse_model.set_clusters(fwhm);
-            pulse_model.is_fast() && (others || pulse_model.cluster(clusters - 1).is_some())
+            let is_due = all || others || !pulse_model.pulses().iter().all(PulseComponent::is_fitted);
+            pulse_model.is_fast() && is_due && pulse_model.cluster(0).is_some()
         });
     }
 

@@ -73,6 +73,8 @@ pub(super) struct Finish<'a> {
     ///
     /// The fast modes, and calibration where it does not use weak pulses, only drop the pulse.
     pub(super) is_refined: bool,
+    /// Whether rows must hold the rise of a pulse: the current waveform is not explained.
+    pub(super) needs_rise: bool,
 }
 
 /// Outputs the returns of a batch.
@@ -105,6 +107,8 @@ impl Finish<'_> {
         pulse_model: &mut PulseModel,
         outcomes: &mut Decompositions,
     ) {
+        self.needs_rise = self.is_refined
+            && self.thresholds.outcome(pulse_model, samples.len()).deviation_ratio() > DEVIANT;
         let is_done = pulse_model.is_fast()
             && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()));
         let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
@@ -177,10 +181,10 @@ impl Finish<'_> {
         is_better
     }
 
-    /// Whether the pulse is fitted, and its row holds enough of it.
+    /// Whether the pulse is fitted, and its row holds enough of it to explain the waveform.
     #[inline(always)]
     fn is_determined(&self, pulse: &PulseComponent) -> bool {
-        pulse.is_fitted() && (!self.is_refined || self.thresholds.is_held(pulse))
+        pulse.is_fitted() && (!self.needs_rise || self.thresholds.is_held(pulse))
     }
 
     /// Whether all pulses are acceptable as returns and sufficiently separated.
