@@ -294,7 +294,6 @@ impl BatchDecomposer {
             plain: &mut self.plain,
             left_to_plain: &mut self.left_to_plain,
             is_refined: mode == Mode::Refined && !self.drops_weak,
-            needs_rise: false,
         }
     }
 

@@ -45,9 +45,11 @@ impl Decompose<'_> {
                 self.fit_clusters(1);
                 // Repeated if the new positions and widths result in other clusters than those
                 // fitted, or a fit has no optimum. Other clusters need no second fit: a pulse
-                // reaches only the clusters after it, which were fitted after it.
-                for _ in 0..2 {
-                    self.keep_due(false);
+                // reaches only the clusters after it, which were fitted after it. A level reaches
+                // all of them.
+                let level = self.tables.level.is_some();
+                for clusters in [if level { 2 } else { MAX_PULSES + 1 }, MAX_PULSES + 1] {
+                    self.keep_due(clusters);
                     self.fit_clusters(1);
                 }
             }
@@ -102,7 +104,7 @@ impl Decompose<'_> {
             if moved.is_empty() || round + 1 == LEVEL_ROUNDS {
                 return;
             }
-            self.keep_due(true);
+            self.keep_due(1);
             let Workspace { pulse_models, which, fits, .. } = &mut *self.work;
             which.clone_from(&fits.due);
             which.iter().for_each(|&row| pulse_models[row].reopen());
@@ -151,20 +153,21 @@ impl Decompose<'_> {
         let Workspace { pulse_models, fits: FitBuffers { due, .. }, .. } = &mut *self.work;
         due.clear();
         due.extend((0..pulse_models.len()).filter(|&row| pulse_models[row].needs_fit()));
-        self.keep_due(true);
+        self.keep_due(1);
     }
 
-    /// Keeps the due waveforms with pulses; unless `all`, only those whose clusters have changed or
-    /// have a pulse that is not fitted.
-    fn keep_due(&mut self, all: bool) {
+    /// Keeps the due waveforms with enough clusters, changed clusters, or a pulse that is not fitted.
+    ///
+    /// `clusters` is the required number of clusters.
+    fn keep_due(&mut self, clusters: usize) {
         let fwhm = self.fwhm();
         let Workspace { pulse_models, fits, .. } = &mut *self.work;
         fits.due.retain(|&row| {
             let pulse_model = &mut pulse_models[row];
             pulse_model.sort();
             let others = pulse_model.set_clusters(fwhm);
-            let is_due = all || others || !pulse_model.pulses().iter().all(PulseComponent::is_fitted);
-            pulse_model.is_fast() && is_due && pulse_model.cluster(0).is_some()
+            let is_open = !pulse_model.pulses().iter().all(PulseComponent::is_fitted);
+            pulse_model.is_fast() && (others || is_open || pulse_model.cluster(clusters - 1).is_some())
         });
     }
 

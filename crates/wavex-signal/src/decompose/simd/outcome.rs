@@ -73,8 +73,6 @@ pub(super) struct Finish<'a> {
     ///
     /// The fast modes, and calibration where it does not use weak pulses, only drop the pulse.
     pub(super) is_refined: bool,
-    /// Whether rows must hold the rise of a pulse: the current waveform is not explained.
-    pub(super) needs_rise: bool,
 }
 
 /// Outputs the returns of a batch.
@@ -107,8 +105,6 @@ impl Finish<'_> {
         pulse_model: &mut PulseModel,
         outcomes: &mut Decompositions,
     ) {
-        self.needs_rise = self.is_refined
-            && self.thresholds.outcome(pulse_model, samples.len()).deviation_ratio() > DEVIANT;
         let is_done = pulse_model.is_fast()
             && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()));
         let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
@@ -181,10 +177,13 @@ impl Finish<'_> {
         is_better
     }
 
-    /// Whether the pulse is fitted, and its row holds enough of it to explain the waveform.
+    /// Whether the pulse is fitted, and its row holds enough of it or the waveform is explained.
     #[inline(always)]
-    fn is_determined(&self, pulse: &PulseComponent) -> bool {
-        pulse.is_fitted() && (!self.needs_rise || self.thresholds.is_held(pulse))
+    fn is_determined(&self, pulse_model: &PulseModel, pulse: &PulseComponent, samples: usize) -> bool {
+        pulse.is_fitted()
+            && (!self.is_refined
+                || self.thresholds.is_held(pulse)
+                || self.thresholds.outcome(pulse_model, samples).deviation_ratio() <= DEVIANT)
     }
 
     /// Whether all pulses are acceptable as returns and sufficiently separated.
@@ -194,7 +193,9 @@ impl Finish<'_> {
         pulse_model.pulses().iter().all(|pulse| {
             let is_apart = pulse.position() - before >= self.thresholds.least_separation;
             before = pulse.position();
-            is_apart && self.is_determined(pulse) && self.thresholds.is_return(pulse_model, pulse, samples)
+            is_apart
+                && self.is_determined(pulse_model, pulse, samples)
+                && self.thresholds.is_return(pulse_model, pulse, samples)
         })
     }
 
@@ -203,7 +204,7 @@ impl Finish<'_> {
     /// Returns `false` if the scalar kernels must decompose the waveform.
     #[inline(never)]
     fn drop(&mut self, pulse_model: &mut PulseModel, samples: usize) -> bool {
-        if self.is_refined || !pulse_model.pulses().iter().all(|pulse| self.is_determined(pulse)) {
+        if self.is_refined || !pulse_model.pulses().iter().all(PulseComponent::is_fitted) {
             return false;
         }
         let least = self.thresholds.least_separation;

@@ -28,6 +28,10 @@ const HELD_PART: f32 = 0.5;
 ///
 /// Three equal pulses as far apart as two that detection separates have 2.
 const THREE_WIDTH_RATIO: f32 = 1.7;
+/// Evidence for three pulses in place of one, relative to that for two.
+///
+/// Noise rarely looks like three; waveforms that need three are far from explained by one.
+const THREE_EVIDENCE: f64 = 3.0;
 /// Margin below the required gain within which an unfinished trial stays undecided.
 const OPEN_GAIN: f32 = 4.0;
 
@@ -290,7 +294,7 @@ impl Decompose<'_> {
                     && !self.thresholds.allowance.overdrives(f64::from(pulse.height()))
                 {
                     let raise = self.thresholds.raise(&pulse_model, pulse.position(), f32::INFINITY);
-                    let gain = (2.0 * evidence * raise * raise) as f32;
+                    let gain = (THREE_EVIDENCE * evidence * raise * raise) as f32;
                     let trial = Trial::of(row, number..number + 1, gain);
                     self.plan(trial, &pulse_model, Change::DivideInThree(number));
                 }
