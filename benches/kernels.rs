@@ -21,7 +21,7 @@ use wavex_signal::simulated;
 use wavex_simd::SimdLevel;
 
 use wavex_testkit::clock::cpu_s;
-use wavex_testkit::waveforms::{Random, SAMPLES, Scene, Waveforms, model};
+use wavex_testkit::waveforms::{Random, SAMPLES, Scene, Waveforms, model, recording_model};
 
 const WAVEFORMS: usize = 20_000;
 /// Waveforms per call, as `decompose` gets them from the engine.
@@ -242,6 +242,119 @@ fn own_background(
     }
 }
 
+/// Samples, limits of the blocks, and positions of the pulses of a scene with blocks of any length.
+fn of_many_lengths(
+    model: &ChannelModel,
+    noise: &ArNoise,
+    scene: Scene,
+) -> (Vec<u16>, Vec<usize>, Vec<Vec<f64>>) {
+    let mut made = Waveforms::new(model, noise, scene, 9);
+    let (mut samples, mut ends, mut truths) = (Vec::new(), vec![0], Vec::new());
+    for _ in 0..WAVEFORMS {
+        truths.push(made.next(&mut samples));
+        ends.push(samples.len());
+    }
+    (samples, ends, truths)
+}
+
+fn blocks_between<'a>(samples: &'a [u16], ends: &[usize]) -> Vec<Waveform<'a>> {
+    ends.windows(2).map(|ends| Waveform { samples: &samples[ends[0]..ends[1]] }).collect()
+}
+
+/// Distance within which a return is that of an echo, samples.
+const NEAR_SAMPLES: f64 = 1.5;
+
+/// Returns the echoes with a return and the returns without an echo, per echo.
+fn found_and_extra(outcomes: &Decompositions, truths: &[Vec<f64>]) -> (f64, f64) {
+    let (mut echoes, mut found, mut returns) = (0, 0, 0);
+    for (outcome, truth) in outcomes.iter().zip(truths) {
+        let mut left: Vec<f64> = outcome.returns.iter().map(|r| r.position_samples).collect();
+        (echoes, returns) = (echoes + truth.len(), returns + left.len());
+        for place in truth {
+            let distance = |i: &usize| (left[*i] - place).abs();
+            let nearest = (0..left.len()).min_by(|i, j| distance(i).total_cmp(&distance(j)));
+            if let Some(i) = nearest.filter(|i| distance(i) < NEAR_SAMPLES) {
+                left.swap_remove(i);
+                found += 1;
+            }
+        }
+    }
+    (found as f64 / echoes as f64, (returns - found) as f64 / echoes as f64)
+}
+
+/// Measures close echoes recorded with another response than the calibrated one, in each mode.
+///
+/// Prints the time per waveform, its ratio to single echoes and to the yardstick, the fraction left to
+/// the scalar kernels, and the quality. Goals of `refined`: 6 times a single echo, 0.2 % left.
+fn close_echoes(
+    path: SimdLevel,
+    model: &ChannelModel,
+    noise: &ArNoise,
+    tables: &Arc<Tables>,
+    yards: &[[Rate; 5]],
+) {
+    let only = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    if only.is_some_and(|only| only != "close echoes") {
+        return;
+    }
+    let modes = [
+        ("refined", Mode::Refined, false),
+        ("fast_separated, refined when needed", Mode::FastSeparated, true),
+        ("fastest, refined when needed", Mode::Fastest, true),
+        ("fast_separated", Mode::FastSeparated, false),
+        ("fastest", Mode::Fastest, false),
+    ];
+    let mut of_single = f64::NAN;
+    for (name, scene, recorded) in
+        [("single echoes", Scene::One, model), ("close echoes", Scene::Close, &recording_model(noise))]
+    {
+        let (samples, ends, truths) = of_many_lengths(recorded, noise, scene);
+        let blocks = blocks_between(&samples, &ends);
+        for (mode_name, mode, refine) in modes {
+            let settings = DecomposeSettings::default();
+            let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
+            let mut kernels = kernels.expect("a channel").refine_when_needed(refine);
+            let mut outcomes = Decompositions::default();
+            let rate = rate(|| {
+                for line in blocks.chunks(SCAN_LINE) {
+                    kernels.decompose(line, &mut outcomes);
+                }
+            });
+            let before = kernels.left_to_plain();
+            kernels.decompose(&blocks, &mut outcomes);
+            let left = 100.0 * (kernels.left_to_plain() - before) as f64 / blocks.len() as f64;
+            let (z, right) = quality(&outcomes, &truths);
+            let (found, extra) = found_and_extra(&outcomes, &truths);
+            let spent_us = 1.0 / rate.best;
+            if matches!(scene, Scene::One) && mode == Mode::Refined {
+                of_single = spent_us;
+            }
+            let relative = spent_us / of_single;
+            let goals = match (scene, mode) {
+                (Scene::Close, Mode::Refined) => {
+                    format!(" (goals 6 {}, 0.2 % {})", verdict(6.0, relative), verdict(0.2, left))
+                }
+                _ => String::new(),
+            };
+            // The yardstick's "one return": detection and a fit of four iterations.
+            let yard = yards.iter().map(|yard| yard[1].best).fold(0.0, f64::max);
+            let of_yard = if yard > 0.0 {
+                format!(", {:.1} of the yardstick's one return", spent_us * yard)
+            } else {
+                String::new()
+            };
+            println!(
+                "{mode_name}, {name}: {spent_us:.3} us per waveform, {relative:.1} of single echoes{of_yard}; \
+                 left to scalar kernels {left:.2} %{goals}; correct number of returns {:.2} %, echoes found \
+                 {:.2} %, extra {:.2} %, z {z:.3}",
+                100.0 * right,
+                100.0 * found,
+                100.0 * extra
+            );
+        }
+    }
+}
+
 /// Measures waveforms of one to eight echoes, and the forest scene, in each mode.
 ///
 /// Prints the time per waveform and the fraction left to the scalar kernels. The goals: four echoes at
@@ -258,14 +371,8 @@ fn many_echoes(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &
     for (mode_name, mode) in modes {
         let mut of_three = f64::NAN;
         for (name, scene) in &scenes {
-            let mut made = Waveforms::new(model, noise, *scene, 9);
-            let (mut samples, mut ends, mut truths) = (Vec::new(), vec![0], Vec::new());
-            for _ in 0..WAVEFORMS {
-                truths.push(made.next(&mut samples));
-                ends.push(samples.len());
-            }
-            let block = |ends: &[usize]| Waveform { samples: &samples[ends[0]..ends[1]] };
-            let blocks: Vec<_> = ends.windows(2).map(block).collect();
+            let (samples, ends, truths) = of_many_lengths(model, noise, *scene);
+            let blocks = blocks_between(&samples, &ends);
             let settings = DecomposeSettings::default();
             let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
             let mut kernels = kernels.expect("a channel");
@@ -492,6 +599,7 @@ fn main() {
             own_background(path, &model, &tables, &sets[2]);
         }
         many_echoes(path, &model, &noise, &tables);
+        close_echoes(path, &model, &noise, &tables, &yards);
         if path == SimdLevel::best() {
             profiles(&model, &noise);
         }

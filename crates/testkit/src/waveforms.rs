@@ -44,12 +44,18 @@ impl Random {
 /// % and a tail of 1.5 % that decays over 30 ns. The noise is autoregressive of order 2, that of the
 /// receiver and of rounding to whole steps.
 pub fn model(noise: &ArNoise) -> ChannelModel {
+    model_of(noise, [0.9, 0.04, 0.015])
+}
+
+/// Creates the channel with this decay, ns, and relative heights of after-pulse and tail.
+fn model_of(noise: &ArNoise, [decay_ns, after_pulse, tail]: [f64; 3]) -> ChannelModel {
     let noise = &recorded(noise);
     let narrow = |t: f64| (-0.5 * (t / 1.65).powi(2)).exp();
-    let main =
-        |t: f64| (0..200).map(|i| f64::from(i) * 0.05).map(|d| (-d / 0.9).exp() * narrow(t - d)).sum::<f64>();
+    let main = |t: f64| {
+        (0..200).map(|i| f64::from(i) * 0.05).map(|d| (-d / decay_ns).exp() * narrow(t - d)).sum::<f64>()
+    };
     let slow = |t: f64| if t > 3.0 { (1.0 - (-(t - 3.0) / 4.0).exp()) * (-t / 30.0).exp() } else { 0.0 };
-    let value = |t: f64| main(t) / main(0.7) + 0.04 * narrow((t - 11.0) / 1.2) + 0.015 * slow(t);
+    let value = |t: f64| main(t) / main(0.7) + after_pulse * narrow((t - 11.0) / 1.2) + tail * slow(t);
     let (mut peak, mut place) = (0.0, 0.0);
     for t in (0..1500).map(|i| f64::from(i) * 0.001) {
         if value(t) > peak {
@@ -122,6 +128,17 @@ pub enum Scene {
     ///
     /// They are 3 to 20 samples apart; 40 % are widened by up to 40 %.
     Forest,
+    /// One to seven pulses, as many as fit, 3 to 20 samples apart, in blocks of 140 samples.
+    ///
+    /// They are 10 to 70 standard deviations of the noise high; 40 % are widened by up to 40 %.
+    Close,
+}
+
+/// Returns the channel as it is when recording: its response differs from the calibrated one of [`model`].
+///
+/// The decay is 2 % slower, after-pulse and tail are 5 % higher.
+pub fn recording_model(noise: &ArNoise) -> ChannelModel {
+    model_of(noise, [0.918, 0.042, 0.01575])
 }
 
 /// Returns the noise of the channel.
@@ -159,6 +176,7 @@ impl Waveforms {
         let Waveforms { scene, random, shape, noise, noise_sd_dn } = self;
         let length = match scene {
             Scene::Echoes(_) => 120,
+            Scene::Close => 140,
             Scene::Forest => 60 + 20 * (10.0 * random.uniform()) as usize,
             _ => SAMPLES,
         };
@@ -176,14 +194,24 @@ impl Waveforms {
             Scene::Two => 2,
             Scene::Echoes(count) => *count,
             Scene::Forest => (1 + (7.0 * random.uniform()) as usize).min(1 + (length - 40) / 14),
+            Scene::Close => 1 + (7.0 * random.uniform()) as usize,
             Scene::Mixed => [0.15, 0.70, 0.90].iter().filter(|&&limit| kind >= limit).count(),
+        };
+        let heights_dn = match scene {
+            Scene::Close => [10.0, 70.0].map(|snr| snr * *noise_sd_dn),
+            _ => [20.0, 150.0],
         };
         let mut place = 12.0 + 12.0 * random.uniform();
         let mut truth = Vec::new();
         for _ in 0..count {
-            let widened = matches!(scene, Scene::Mixed | Scene::Forest) && random.uniform() < 0.4;
+            // The samples of the last pulse end 16 samples after its peak.
+            if matches!(scene, Scene::Close) && place > (length - 16) as f64 {
+                break;
+            }
+            let widened =
+                matches!(scene, Scene::Mixed | Scene::Forest | Scene::Close) && random.uniform() < 0.4;
             let pulse = Pulse {
-                height_dn: 20.0 + 130.0 * random.uniform(),
+                height_dn: heights_dn[0] + (heights_dn[1] - heights_dn[0]) * random.uniform(),
                 position_samples: place,
                 ln_width_ratio: if widened { (1.0 + 0.4 * random.uniform()).ln() } else { 0.0 },
                 ln_width_precision: 0.0,
