@@ -30,7 +30,7 @@ const SPREAD: f64 = 0.01;
 /// Error in SDs from which a predicted point counts as wrongly classified.
 const WRONG: [f64; 2] = [-4.5, 2.5];
 /// Largest error in SDs that counts: a few wrong points must not decide.
-const MOST_DEVIATION: f64 = 4.0;
+const MOST_DEVIATION: f64 = 6.0;
 /// Assumed SD of the height error of a strip, m.
 const ASSUMED_STRIP_M: f64 = 0.05;
 /// Typical SD of the height errors of strips, m, with the weight of two strips in the estimate from overlaps.
@@ -217,30 +217,28 @@ fn strip_error(model: &TerrainModel, indices: &[PointIndex], nodes: &[(usize, [f
     let mut pairs: Vec<(u16, u16)> = differences.iter().map(|d| (d.0, d.1)).collect();
     pairs.sort_unstable();
     pairs.dedup();
-    let squares: Vec<f64> = pairs
-        .iter()
-        .filter_map(|pair| {
-            let of_pair = differences.iter().filter(|d| (d.0, d.1) == *pair);
-            let (mut sum, mut weight, mut n) = (0.0, 0.0, 0usize);
-            for (_, _, difference, variance) in of_pair {
-                let w = 1.0 / variance.max(1e-6);
-                sum += w * (difference * difference - variance);
-                weight += w;
-                n += 1;
-            }
-            (n >= 3).then(|| sum / weight)
-        })
-        .collect();
-    if squares.is_empty() {
+    pairs.retain(|pair| differences.iter().filter(|d| (d.0, d.1) == *pair).count() >= 3);
+    if pairs.is_empty() {
         return None;
     }
-    let mut strips: Vec<u16> = pairs.iter().flat_map(|pair| [pair.0, pair.1]).collect();
-    strips.sort_unstable();
-    strips.dedup();
-    let variance = (0.5 * squares.iter().sum::<f64>() / squares.len() as f64).max(0.0);
+    let square_of = |pair: &(u16, u16)| {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for (_, _, difference, variance) in differences.iter().filter(|d| (d.0, d.1) == *pair) {
+            let w = 1.0 / variance.max(1e-6);
+            sum += w * (difference * difference - variance);
+            weight += w;
+        }
+        sum / weight
+    };
+    let n = pairs.len() as f64;
+    let variance = (0.5 * pairs.iter().map(square_of).sum::<f64>() / n).max(0.0);
+    // Differences of pairs that share a strip are not independent.
+    let shared = |a: &(u16, u16)| {
+        pairs.iter().filter(|b| a.0 == b.0 || a.0 == b.1 || a.1 == b.0 || a.1 == b.1).count() - 1
+    };
+    let freedom = 4.0 * n * n / (4.0 * n + pairs.iter().map(shared).sum::<usize>() as f64);
     // Mean of the inverse gamma distribution with these degrees of freedom and those of the prior: a few strips that agree by
     // chance do not prove that their errors are small.
-    let freedom = (strips.len() - 1) as f64;
     Some((variance + 2.0 * TYPICAL_STRIP_M * TYPICAL_STRIP_M / freedom).sqrt())
 }
 
