@@ -177,13 +177,10 @@ impl Finish<'_> {
         is_better
     }
 
-    /// Whether the pulse is fitted, and its row holds enough of it or the waveform is explained.
+    /// Whether the pulse is fitted, and its row holds enough of it.
     #[inline(always)]
-    fn is_determined(&self, pulse_model: &PulseModel, pulse: &PulseComponent, samples: usize) -> bool {
-        pulse.is_fitted()
-            && (!self.is_refined
-                || self.thresholds.is_held(pulse)
-                || self.thresholds.outcome(pulse_model, samples).deviation_ratio() <= DEVIANT)
+    fn is_determined(&self, pulse: &PulseComponent) -> bool {
+        pulse.is_fitted() && (!self.is_refined || self.thresholds.is_held(pulse))
     }
 
     /// Whether all pulses are acceptable as returns and sufficiently separated.
@@ -193,9 +190,7 @@ impl Finish<'_> {
         pulse_model.pulses().iter().all(|pulse| {
             let is_apart = pulse.position() - before >= self.thresholds.least_separation;
             before = pulse.position();
-            is_apart
-                && self.is_determined(pulse_model, pulse, samples)
-                && self.thresholds.is_return(pulse_model, pulse, samples)
+            is_apart && self.is_determined(pulse) && self.thresholds.is_return(pulse_model, pulse, samples)
         })
     }
 
@@ -204,7 +199,7 @@ impl Finish<'_> {
     /// Returns `false` if the scalar kernels must decompose the waveform.
     #[inline(never)]
     fn drop(&mut self, pulse_model: &mut PulseModel, samples: usize) -> bool {
-        if self.is_refined || !pulse_model.pulses().iter().all(PulseComponent::is_fitted) {
+        if self.is_refined || !pulse_model.pulses().iter().all(|pulse| self.is_determined(pulse)) {
             return false;
         }
         let least = self.thresholds.least_separation;

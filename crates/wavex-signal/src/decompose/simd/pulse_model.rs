@@ -336,11 +336,11 @@ impl PulseModel {
         self.search = Search::Undecided;
     }
 
-    /// Records an accepted trial that adds pulses, which the caller has exchanged in model and row.
-    pub(super) fn accept_trial(&mut self, added: usize) {
+    /// Records an accepted trial, whose pulses the caller has exchanged in model and row.
+    pub(super) fn accept_trial(&mut self) {
         debug_assert!(!self.has_changed());
         self.search = Search::Changed;
-        self.counts.n_added += added as u32;
+        self.counts.n_added += 1;
         self.reopen();
     }
 

@@ -36,11 +36,7 @@ impl Trial {
         gain: f32,
     ) -> Trial {
         let whole = pulse_model.cluster_around(position, fwhm_samples);
-        Trial::of(row, part_of(pulse_model, whole, position), gain)
-    }
-
-    /// Creates a trial that replaces the pulses `old` if chi-square decreases by `gain`.
-    pub(super) fn of(row: usize, old: Range<usize>, gain: f32) -> Trial {
+        let old = part_of(pulse_model, whole, position);
         Trial {
             row,
             old: (old.start, old.end),
@@ -83,8 +79,6 @@ pub(super) enum Change {
     ///
     /// The first has this fraction of its energy.
     Divide(usize, f32),
-    /// Splits a pulse into three equal ones of the calibrated width; only that pulse is replaced.
-    DivideInThree(usize),
 }
 
 /// Returns the cluster, or two pulses of one that is too large for a trial.
@@ -112,16 +106,4 @@ pub(super) fn divided(pulse: &PulseComponent, part: f32, fwhm_samples: f32) -> [
     let flags = pulse.flags | flags::SPLIT;
     let of = |part: f32, position: f32| PulseComponent::new([part * energy, position, 0.0]).flagged(flags);
     [of(part, centre - (1.0 - part) * separation), of(1.0 - part, centre + part * separation)]
-}
-
-/// Splits a widened pulse into three equal ones of the calibrated width with its first moments.
-pub(super) fn divided_in_three(pulse: &PulseComponent, fwhm_samples: f32) -> [PulseComponent; 3] {
-    let [height, centre, _] = pulse.values();
-    let ratio = pulse.width_ratio();
-    // The variance of three equal parts is two thirds of the squared separation.
-    let separation = SD_OF_FWHM as f32 * fwhm_samples * (1.5 * (ratio * ratio - 1.0)).max(0.0).sqrt();
-    [-1.0, 0.0, 1.0].map(|side: f32| {
-        PulseComponent::new([ratio * height / 3.0, centre + side * separation, 0.0])
-            .flagged(pulse.flags | flags::SPLIT)
-    })
 }
