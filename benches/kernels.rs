@@ -212,18 +212,7 @@ fn own_background(
     for (name, mode, refine) in modes {
         let one = |model: &ChannelModel, tables: &Arc<Tables>, samples: &[u16]| {
             let blocks = blocks(samples, ALIKE);
-            let settings = DecomposeSettings::default();
-            let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
-            let mut kernels = kernels.expect("a channel").refine_when_needed(refine);
-            let mut outcomes = Decompositions::default();
-            let rate = rate(|| {
-                for line in blocks.chunks(SCAN_LINE) {
-                    kernels.decompose(line, &mut outcomes);
-                }
-            });
-            let before = kernels.left_to_plain();
-            kernels.decompose(&blocks, &mut outcomes);
-            let left = (kernels.left_to_plain() - before) as f64 / blocks.len() as f64;
+            let (rate, outcomes, left) = measured(model, tables, mode, refine, path, &blocks);
             (rate, quality(&outcomes, truths), left)
         };
         let rounds: Vec<_> =
@@ -240,6 +229,30 @@ fn own_background(
             100.0 * rounds[0].1.2
         );
     }
+}
+
+/// Measures the rate of a mode, with the results and the fraction of blocks left to the scalar kernels.
+fn measured(
+    model: &ChannelModel,
+    tables: &Arc<Tables>,
+    mode: Mode,
+    refine: bool,
+    path: SimdLevel,
+    blocks: &[Waveform<'_>],
+) -> (Rate, Decompositions, f64) {
+    let settings = DecomposeSettings::default();
+    let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
+    let mut kernels = kernels.expect("a channel").refine_when_needed(refine);
+    let mut outcomes = Decompositions::default();
+    let rate = rate(|| {
+        for line in blocks.chunks(SCAN_LINE) {
+            kernels.decompose(line, &mut outcomes);
+        }
+    });
+    let before = kernels.left_to_plain();
+    kernels.decompose(blocks, &mut outcomes);
+    let left = (kernels.left_to_plain() - before) as f64 / blocks.len() as f64;
+    (rate, outcomes, left)
 }
 
 /// Samples, limits of the blocks, and positions of the pulses of a scene with blocks of any length.
@@ -311,18 +324,8 @@ fn close_echoes(
         let (samples, ends, truths) = of_many_lengths(recorded, noise, scene);
         let blocks = blocks_between(&samples, &ends);
         for (mode_name, mode, refine) in modes {
-            let settings = DecomposeSettings::default();
-            let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
-            let mut kernels = kernels.expect("a channel").refine_when_needed(refine);
-            let mut outcomes = Decompositions::default();
-            let rate = rate(|| {
-                for line in blocks.chunks(SCAN_LINE) {
-                    kernels.decompose(line, &mut outcomes);
-                }
-            });
-            let before = kernels.left_to_plain();
-            kernels.decompose(&blocks, &mut outcomes);
-            let left = 100.0 * (kernels.left_to_plain() - before) as f64 / blocks.len() as f64;
+            let (rate, outcomes, left) = measured(model, tables, mode, refine, path, &blocks);
+            let left = 100.0 * left;
             let (z, right) = quality(&outcomes, &truths);
             let (found, extra) = found_and_extra(&outcomes, &truths);
             let spent_us = 1.0 / rate.best;
@@ -373,18 +376,8 @@ fn many_echoes(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &
         for (name, scene) in &scenes {
             let (samples, ends, truths) = of_many_lengths(model, noise, *scene);
             let blocks = blocks_between(&samples, &ends);
-            let settings = DecomposeSettings::default();
-            let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
-            let mut kernels = kernels.expect("a channel");
-            let mut outcomes = Decompositions::default();
-            let rate = rate(|| {
-                for line in blocks.chunks(SCAN_LINE) {
-                    kernels.decompose(line, &mut outcomes);
-                }
-            });
-            let before = kernels.left_to_plain();
-            kernels.decompose(&blocks, &mut outcomes);
-            let left = 100.0 * (kernels.left_to_plain() - before) as f64 / blocks.len() as f64;
+            let (rate, outcomes, left) = measured(model, tables, mode, false, path, &blocks);
+            let left = 100.0 * left;
             let (z, right) = quality(&outcomes, &truths);
             let spent_us = 1.0 / rate.best;
             if matches!(scene, Scene::Echoes(3)) {
