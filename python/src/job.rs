@@ -299,7 +299,11 @@ pub fn run<'py>(
             show.call_method0("close")?;
         }
     }
-    let report = py.import("json")?.call_method1("loads", (done.report,))?;
+    let report = done
+        .report()
+        .to_json()
+        .map_err(|error| errors::data(error.to_string(), "please report this bug in wavex"))?;
+    let report = py.import("json")?.call_method1("loads", (report,))?;
     let of_inputs = done.run.inputs.iter().flat_map(|input| &input.outputs);
     let files = of_inputs.chain(&done.written).map(|path| shown(path));
     report.set_item("files", PyList::new(py, files.collect::<Vec<_>>())?)?;

@@ -1,7 +1,9 @@
 //! Reports of a run: `*_report.json`, the page, and the statistics of each input.
 
-use std::io::Write;
+use std::borrow::Cow;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, Serializer};
@@ -9,7 +11,8 @@ use serde_json::Value;
 
 use wavex_engine::engine::{InputSummary, RunSummary, StageSummary};
 use wavex_formats::{Error, Result, read_small_text};
-use wavex_line::stage::OutputFile;
+use wavex_line::stage::{self, OutputFile, StageError};
+use wavex_signal::sensor_model::SensorModel;
 
 pub mod align;
 mod earlier;
@@ -37,7 +40,16 @@ pub struct RunReport<'r> {
     pub run: &'r RunSummary,
     /// One entry per input: an [`InputReport`].
     #[schemars(with = "Vec<InputReport>")]
-    pub inputs: &'r [Value],
+    pub inputs: &'r [InputEntry],
+}
+
+/// An [`InputReport`] that is kept until the report is written, in a tenth of the memory of its values.
+#[derive(Clone, Debug)]
+pub struct InputEntry {
+    /// JSON without the sensor model.
+    text: Box<str>,
+    /// Inputs can share it.
+    sensor_model: Option<Arc<SensorModel>>,
 }
 
 /// Results of the chain for one input.
@@ -82,13 +94,42 @@ pub struct FileState {
     pub blake3: Option<String>,
 }
 
-impl InputReport<'_> {
-    /// Entry of the report.
+impl InputEntry {
+    /// # Errors
+    /// If a value cannot be represented as JSON, which is a defect.
+    pub fn new(report: InputReport) -> stage::Result<InputEntry> {
+        let sensor_model = report.input.sensor_model.clone();
+        let input = &InputSummary { sensor_model: None, ..report.input.clone() };
+        // By values, which have numbers of double precision.
+        let values = serde_json::to_value(InputReport { input, ..report }).map_err(|error| {
+            StageError::failed(format!("cannot write the report: {error}"), "please report this bug in wavex")
+        })?;
+        Ok(InputEntry { text: values.to_string().into(), sensor_model })
+    }
+
+    /// Values of the entry.
     ///
     /// # Errors
-    /// If a value cannot be represented as JSON.
-    pub fn to_value(&self) -> serde_json::Result<Value> {
-        serde_json::to_value(self)
+    /// If the sensor model cannot be represented as JSON.
+    pub fn values(&self) -> serde_json::Result<Value> {
+        let mut values: Value = serde_json::from_str(&self.text)?;
+        if let Some(model) = &self.sensor_model {
+            values["sensor_model"] = serde_json::to_value(model.as_ref())?;
+        }
+        Ok(values)
+    }
+}
+
+/// From an entry of a stored report.
+impl From<&Value> for InputEntry {
+    fn from(stored: &Value) -> InputEntry {
+        InputEntry { text: stored.to_string().into(), sensor_model: None }
+    }
+}
+
+impl Serialize for InputEntry {
+    fn serialize<S: Serializer>(&self, to: S) -> std::result::Result<S::Ok, S::Error> {
+        self.values().map_err(serde::ser::Error::custom)?.serialize(to)
     }
 }
 
@@ -124,10 +165,13 @@ impl RunReport<'_> {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn write_json(&self, file: OutputFile) -> Result<()> {
-        let json =
-            self.to_json().map_err(|error| Error::io(file.path(), "write the report")(error.into()))?;
-        write(file, &json, "write the report").map(drop)
+    pub fn write_json(&self, mut file: OutputFile) -> Result<()> {
+        let mut to = BufWriter::new(&mut file);
+        let written = serde_json::to_writer_pretty(&mut to, self).map_err(std::io::Error::from);
+        let written = written.and_then(|()| to.write_all(b"\n")).and_then(|()| to.flush());
+        drop(to);
+        written.map_err(|error| Error::io(file.path(), "write the report")(error))?;
+        file.finish()?.publish().map(drop)
     }
 
     /// Writes the page.
@@ -137,8 +181,9 @@ impl RunReport<'_> {
     pub fn write_page(&self, file: OutputFile) -> Result<()> {
         let defect =
             |problem: String| Error::unusable(file.path(), problem, "please report this bug in wavex");
-        let report = serde_json::to_value(self).map_err(|error| defect(error.to_string()))?;
-        let page = page::page(&report, usize::MAX).map_err(|error| defect(error.to_string()))?;
+        let run = serde_json::to_value(self.run).map_err(|error| defect(error.to_string()))?;
+        let inputs = self.inputs.iter().map(|entry| Ok(Cow::Owned(entry.values()?)));
+        let page = page::page(&run, inputs, usize::MAX).map_err(|error| defect(error.to_string()))?;
         write(file, &page, "write the page").map(drop)
     }
 }
@@ -166,7 +211,8 @@ pub fn write_page_of(report: &Path, stored: &Value, page: &Path) -> Result<()> {
     let bytes = std::fs::metadata(report).map_or(0, |about| about.len());
     let limit =
         PAGE_BYTES + usize::try_from(bytes).unwrap_or(usize::MAX / 16).saturating_mul(PAGE_PER_REPORT);
-    let html = page::page(stored, limit).map_err(|error| {
+    let inputs = stored["inputs"].as_array().into_iter().flatten().map(|input| Ok(Cow::Borrowed(input)));
+    let html = page::page(stored, inputs, limit).map_err(|error| {
         Error::unusable(report, error.to_string(), "run the job again to make a new report")
     })?;
     write(OutputFile::create(page)?, &html, "write the page").map(drop)

@@ -15,7 +15,7 @@ use wavex_engine::job::Job;
 use wavex_formats::Error;
 use wavex_line::georef::check_crs;
 use wavex_line::stage::StageError;
-use wavex_pages::report;
+use wavex_pages::report::{self, InputEntry, RunReport};
 
 mod ending;
 mod files;
@@ -108,10 +108,17 @@ impl Listener for () {}
 pub struct FinishedRun {
     /// The run.
     pub run: RunSummary,
-    /// Its report, JSON.
-    pub report: String,
+    /// Entries of its report.
+    entries: Vec<InputEntry>,
     /// Files of the run as a whole: report, log, statistics.
     pub written: Vec<PathBuf>,
+}
+
+impl FinishedRun {
+    /// Report of the run.
+    pub fn report(&self) -> RunReport<'_> {
+        RunReport { run: &self.run, inputs: &self.entries }
+    }
 }
 
 /// Failure of a run.
@@ -301,10 +308,8 @@ pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
         log::fatal(&message);
         return Err(RunFailure { message, is_invalid: false, error: first.or(ended.err()) });
     }
-    let report = files.report(&run).to_json().map_err(|error| failed(&error))?;
     let written = files.written(&run).concat();
-    drop(files);
-    Ok(FinishedRun { run, report, written })
+    Ok(FinishedRun { run, entries: files.into_entries(), written })
 }
 
 /// The names of all inputs, or of the first ones.

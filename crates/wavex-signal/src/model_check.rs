@@ -10,6 +10,8 @@
 //!
 //! docs/explanation/sabotage.md shows what each finding notices.
 
+use wavex_simd::SimdLevel;
+
 use crate::calibrate::set_noise;
 use crate::decompose::Waveform;
 use crate::noise::fit_by_bic;
@@ -52,6 +54,7 @@ pub struct Comparison {
 pub fn compare<'a>(
     blocks: impl Iterator<Item = Waveform<'a>> + Clone,
     model: &ChannelModel,
+    simd: SimdLevel,
 ) -> Result<Option<Comparison>, ModelError> {
     let waveforms = blocks.clone().count();
     if waveforms < MIN_WAVEFORMS {
@@ -60,7 +63,7 @@ pub fn compare<'a>(
     // An odd step covers all phases of the first samples if these alternate.
     let step = waveforms.div_ceil(MAX_WAVEFORMS) | 1;
     let chosen: Vec<Waveform<'a>> = blocks.clone().step_by(step).collect();
-    let statistics = Statistics::of(&chosen, model)?;
+    let statistics = Statistics::of(&chosen, model, simd)?;
     let mut findings = limits::findings(&statistics, model)?;
     let mut highest = running::Highest::default();
     blocks.for_each(|block| highest.add(block.samples.iter().max().copied().unwrap_or(0)));

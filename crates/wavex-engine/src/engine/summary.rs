@@ -137,7 +137,8 @@ pub struct InputSummary {
     /// Index of the instrument in `survey_models` whose sensor model it has.
     pub survey_instrument: Option<usize>,
     /// Sensor model of `calibrate`, if it is not that of the survey.
-    pub sensor_model: Option<SensorModel>,
+    #[serde(serialize_with = "shared")]
+    pub sensor_model: Option<Arc<SensorModel>>,
     /// Trajectory of `[job.geometry]`.
     pub trajectory: Option<TrajectorySummary>,
     /// Coordinate system of the points, if georeferenced with a trajectory.
@@ -216,7 +217,7 @@ impl InputSummary {
             filtered_by_reason: totals.filtered,
             channel_fusion: totals.fusion.as_deref().cloned(),
             survey_instrument,
-            sensor_model: totals.model.as_deref().filter(|_| survey_instrument.is_none()).cloned(),
+            sensor_model: totals.model.filter(|_| survey_instrument.is_none()),
             trajectory: run.geometry.trajectory().map(|trajectory| TrajectorySummary {
                 corrections: run
                     .geometry
@@ -286,7 +287,7 @@ impl RunSummary {
             let instruments = &self.survey_models.as_ref()?.instruments;
             instruments.get(input.survey_instrument?)?.sensor_model.as_deref()
         };
-        input.sensor_model.as_ref().or_else(of_survey)
+        input.sensor_model.as_deref().or_else(of_survey)
     }
 
     /// Notes that several inputs share, with the names of these.
@@ -319,8 +320,8 @@ fn survey_instrument(run: &RunContext, totals: &LineTotals) -> Option<usize> {
 }
 
 /// Serialises what an `Arc` holds.
-fn shared<S: Serializer>(models: &Option<Arc<SurveyModels>>, to: S) -> Result<S::Ok, S::Error> {
-    models.as_deref().serialize(to)
+fn shared<T: Serialize, S: Serializer>(held: &Option<Arc<T>>, to: S) -> Result<S::Ok, S::Error> {
+    held.as_deref().serialize(to)
 }
 
 /// Serialises a path as text; replaces invalid Unicode.

@@ -1,5 +1,6 @@
 //! HTML page of a run; needs no network or scripts.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use maud::{Markup, html};
@@ -41,6 +42,9 @@ pub(super) enum NoPage {
         /// The list and its length.
         problem: String,
     },
+    /// An entry cannot be read.
+    #[error(transparent)]
+    Entry(#[from] serde_json::Error),
     /// The page exceeds its limit.
     #[error("its page would be larger than {} MB", limit / 1_000_000)]
     TooLarge {
@@ -49,34 +53,43 @@ pub(super) enum NoPage {
     },
 }
 
-/// Renders a report as HTML; omits parts that the report lacks.
+/// Renders a report and the entries of its inputs as HTML; omits parts that the report lacks.
 ///
 /// # Errors
-/// If the overview of an input is invalid, or the page is larger than about `limit` bytes.
-pub(super) fn page(report: &Value, limit: usize) -> Result<String, NoPage> {
-    let inputs = list(report, "inputs");
-    let names: Vec<String> = inputs.iter().map(|input| plain(&input["stem"])).collect();
+/// If an entry or its overview is invalid, or the page is larger than about `limit` bytes.
+pub(super) fn page<'r>(
+    report: &Value,
+    inputs: impl Iterator<Item = serde_json::Result<Cow<'r, Value>>>,
+    limit: usize,
+) -> Result<String, NoPage> {
     let chain: Vec<String> = list(report, "stages").iter().map(name).collect();
-    let mut shown: Vec<InputPart> = Vec::new();
+    let (mut names, mut rows, mut shown) = (Vec::new(), Vec::new(), Vec::new());
+    let mut started: Option<String> = None;
     let mut bytes = 0;
-    for (number, input) in (0..).zip(inputs).filter(|(_, input)| input["status"] != "not_run") {
-        let part = InputPart::of(report, input, number)?;
-        bytes += part.body.0.len();
+    for (number, input) in inputs.enumerate() {
+        let input = &*input?;
+        names.push(plain(&input["stem"]));
+        let at = input["started"].as_str().filter(|text| !text.is_empty()).map(str::to_owned);
+        started = started.into_iter().chain(at).min();
+        let part =
+            if input["status"] == "not_run" { None } else { Some(InputPart::of(report, input, number)?) };
+        rows.push(input_row(input, part.as_ref()));
+        bytes += part.as_ref().map_or(0, |part| part.body.0.len());
         if bytes > limit {
             return Err(NoPage::TooLarge { limit });
         }
-        shown.push(part);
+        shown.extend(part.map(|part| part.body));
     }
     let title = format!("wavex report: {}", names.join(", "));
     let header = html! {
         h1 { "Report of a run" }
-        p.about { (about_run(report, inputs)) }
+        p.about { (about_run(report, started)) }
         p.chain { (chain.join(" → ")) }
     };
     let main = html! {
-        (of_inputs(inputs, &shown))
+        (of_inputs(&rows))
         (drift::of_survey(&report["survey_models"]))
-        @for part in &shown { (part.body) }
+        @for body in &shown { (body) }
         details.job open { summary { "Job with all keys" } (details::all_keys(report)) }
     };
     let page = document(&title, "", &header, &main);
@@ -84,9 +97,7 @@ pub(super) fn page(report: &Value, limit: usize) -> Result<String, NoPage> {
 }
 
 /// Date, version, computer, threads and duration of a run.
-fn about_run(report: &Value, inputs: &[Value]) -> String {
-    let started =
-        inputs.iter().filter_map(|input| input["started"].as_str()).filter(|text| !text.is_empty()).min();
+fn about_run(report: &Value, started: Option<String>) -> String {
     let date = started.map(|text| text.replace('T', " ").replace('Z', " UTC"));
     let commit =
         report["commit"].as_str().and_then(|commit| commit.get(..7)).map(|commit| format!(" ({commit})"));
@@ -103,35 +114,25 @@ fn about_run(report: &Value, inputs: &[Value]) -> String {
 struct InputPart {
     /// Anchor of its heading.
     id: String,
-    /// Index of the input.
-    number: usize,
     grade: Grade,
     body: Markup,
 }
 
 /// Contents of a run of several inputs: verdict, status, points, time, reason of a failure.
-fn of_inputs(inputs: &[Value], shown: &[InputPart]) -> Markup {
-    let several = if inputs.len() > 1 { inputs } else { &[] };
+fn of_inputs(rows: &[Markup]) -> Markup {
     html! {
-        @if !several.is_empty() {
+        @if rows.len() > 1 {
             section.data {
                 h2 { "Inputs" }
                 div.scroll tabindex="0" role="region" aria-label="Inputs" {
                     table.wide {
                         thead { tr { @for head in ["input", "verdict", "status", "points", "time, s", "reason"] { th scope="col" { (head) } } } }
-                        tbody { @for (number, input) in several.iter().enumerate() {
-                            (input_row(input, part_of(shown, number)))
-                        } }
+                        tbody { @for row in rows { (row) } }
                     }
                 }
             }
         }
     }
-}
-
-/// The part of an input; parts are in the order of the inputs.
-fn part_of(shown: &[InputPart], number: usize) -> Option<&InputPart> {
-    shown.get(shown.binary_search_by_key(&number, |part| part.number).ok()?)
 }
 
 fn input_row(input: &Value, part: Option<&InputPart>) -> Markup {
@@ -171,7 +172,7 @@ impl InputPart {
             h1.input id=(id) { (stem) }
             (with_contents(&parts, &format!("{id}-"), &heading))
         };
-        Ok(InputPart { id, number, grade: worst(&parts), body })
+        Ok(InputPart { id, grade: worst(&parts), body })
     }
 }
 

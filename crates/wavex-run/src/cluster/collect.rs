@@ -16,7 +16,7 @@ use wavex_engine::engine::{self, Cancel, InputStatus, InputSummary, Options, Pro
 use wavex_engine::job::{Include, Job, JobStage, Override};
 use wavex_formats::{Error, path_within, read_small_text};
 use wavex_line::stage::{Plan, Result, StageError, SurveyModels};
-use wavex_pages::report::{self, FileState, InputFiles, InputReport, RunReport};
+use wavex_pages::report::{self, FileState, InputEntry, InputFiles, InputReport, RunReport};
 use wavex_stages::registry::STAGES;
 
 /// Results of a survey.
@@ -75,13 +75,16 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
         input.failure = result.problem.clone();
         input.status = result.status;
         entries.push(match &result.entry {
-            Some(entry) => merge.entry(entry, &mut input, &result.files),
-            None => InputReport::new(&input, None, InputFiles::default()).to_value().unwrap_or_default(),
+            Some(entry) => {
+                let entry = merge.entry(entry, &mut input, &result.files);
+                run.wall_s += input.wall_s;
+                InputEntry::from(&entry)
+            }
+            None => InputEntry::new(InputReport::new(&input, None, InputFiles::default()))?,
         });
         problems.extend(input.failure.clone().map(|problem| (task.name.clone(), problem)));
         run.inputs.push(input);
     }
-    run.wall_s = entries.iter().filter_map(|entry| entry["wall_s"].as_f64()).sum();
     let report = RunReport { run: &run, inputs: &entries };
     let mut written = merge.write(&plan, &job, &report, &results)?;
     written.sort();

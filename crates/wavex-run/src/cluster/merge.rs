@@ -117,7 +117,7 @@ impl<'m> Merge<'m> {
             input.outputs = outputs.filter(|path| !of_strip.contains(path)).collect();
             let instrument = entry["survey_instrument"].as_u64();
             input.survey_instrument = instrument.and_then(|number| usize::try_from(number).ok());
-            input.sensor_model = serde_json::from_value(entry["sensor_model"].clone()).ok();
+            input.sensor_model = serde_json::from_value(entry["sensor_model"].clone()).ok().map(Arc::new);
         }
         input.wall_s = entry["wall_s"].as_f64().unwrap_or_default();
         let outputs: Vec<_> = input.outputs.iter().map(|path| path.to_string_lossy()).collect();

@@ -20,7 +20,7 @@ use wavex_formats::Error;
 use wavex_line::stage::{
     OutputFile, OutputLock, Outputs, Result, RunObservers, StageError, SurveyModels, fixed_folder,
 };
-use wavex_pages::report::{self, FileState, InputFiles, InputReport, RunReport};
+use wavex_pages::report::{self, FileState, InputEntry, InputFiles, InputReport, RunReport};
 
 /// Trace that `--profile` writes to the output folder; `*` is the name of the run.
 const TRACE: &str = "*_trace.json";
@@ -40,9 +40,9 @@ pub(super) struct RunFiles<'j> {
     /// Files read for each input, before the run, by its stem.
     read: BTreeMap<String, Vec<FileState>>,
     /// Entries of inputs to skip, by their stems.
-    skipped: BTreeMap<String, Value>,
+    skipped: BTreeMap<String, InputEntry>,
     /// Entries of the report, one per input.
-    entries: Vec<Value>,
+    entries: Vec<InputEntry>,
     /// Time from which report and page are written again; `None` if they have all entries.
     due: Option<Instant>,
     /// Time that writing them last took.
@@ -157,7 +157,7 @@ impl<'j> RunFiles<'j> {
                 let planned = self.planned(job, &input.stem);
                 messages.push(match earlier.results(input, read, &planned, number, &self.comparison) {
                     Ok(results) => {
-                        self.skipped.insert(input.stem.clone(), results.clone());
+                        self.skipped.insert(input.stem.clone(), results.into());
                         format!("{}: skipped, its outputs are complete", input.stem)
                     }
                     Err(reason) => format!("{}: not skipped: {reason}", input.stem),
@@ -263,8 +263,8 @@ impl<'j> RunFiles<'j> {
         let written = self.comparison.written(input.outputs.iter().chain(&of_strip));
         let read = self.read.get(&input.stem).cloned().unwrap_or_default();
         self.fill_entries(run)?;
-        self.entries[number] =
-            defect(InputReport::new(input, overview.as_ref(), InputFiles { read, written }).to_value())?;
+        let entry = InputReport::new(input, overview.as_ref(), InputFiles { read, written });
+        self.entries[number] = InputEntry::new(entry)?;
         if let Some(path) = self.stat_log(&input.stem).filter(|path| is_done || is_in_folder(path)) {
             report::write_stat_log(&path, run, input, &self.of_run(), input.failure.as_deref())?;
         }
@@ -302,14 +302,11 @@ impl<'j> RunFiles<'j> {
 
     /// Adds entries for inputs without one: skipped or not run.
     fn fill_entries(&mut self, run: &RunSummary) -> Result<()> {
-        self.entries.resize(run.inputs.len(), Value::Null);
-        for (input, entry) in run.inputs.iter().zip(&mut self.entries) {
-            if entry.is_null() {
-                *entry = match self.skipped.get(&input.stem) {
-                    Some(earlier) => earlier.clone(),
-                    None => defect(InputReport::new(input, None, InputFiles::default()).to_value())?,
-                };
-            }
+        for input in run.inputs.iter().skip(self.entries.len()) {
+            self.entries.push(match self.skipped.get(&input.stem) {
+                Some(earlier) => earlier.clone(),
+                None => InputEntry::new(InputReport::new(input, None, InputFiles::default()))?,
+            });
         }
         Ok(())
     }
@@ -378,6 +375,11 @@ impl<'j> RunFiles<'j> {
         [of_run, stat_logs.chain(of_strips.filter(|path| path.exists())).collect()]
     }
 
+    /// Entries of the report.
+    pub(super) fn into_entries(self) -> Vec<InputEntry> {
+        self.entries
+    }
+
     /// The file that describes a failed run: its report, or its log if no input was begun.
     pub(super) fn of_failed(&self, run: &RunSummary) -> Option<EndMessage> {
         let [of_run, _] = self.written(run);
@@ -399,12 +401,5 @@ fn is_in_folder(path: &Path) -> bool {
     let about = path.parent().map(std::fs::metadata);
     about.is_some_and(|about| {
         about.map_or_else(|error| error.kind() != ErrorKind::NotFound, |about| about.is_dir())
-    })
-}
-
-/// Entry of a report, which JSON can always represent.
-fn defect(entry: serde_json::Result<Value>) -> Result<Value> {
-    entry.map_err(|error| {
-        StageError::failed(format!("cannot write the report: {error}"), "please report this bug in wavex")
     })
 }

@@ -4,8 +4,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use serde_json::Value;
-
 use wavex_engine::job::JobSettings;
 use wavex_geodesy::time_axis::Alignment;
 use wavex_geodesy::trajectory::Trajectory;
@@ -17,7 +15,7 @@ use wavex_line::system::Unpoisoned as _;
 use wavex_pages::report::survey::{
     CollectedStrip, StripCollector, StripPaths, survey_files, write_cells, write_density, write_survey,
 };
-use wavex_pages::report::{Overview, Overviews};
+use wavex_pages::report::{InputEntry, Overview, Overviews};
 
 /// Collects the data of the pages that a job requests.
 #[derive(Debug)]
@@ -140,7 +138,7 @@ impl SurveyFiles {
     pub(super) fn write(
         &mut self,
         settings: &JobSettings,
-        entries: &[Value],
+        entries: &[InputEntry],
         models: Option<&SurveyModels>,
         page: &Path,
     ) -> Result<Vec<String>> {

@@ -1,7 +1,14 @@
 //! Measurements of waveforms, as independent of the compared model as possible.
 
 use crate::calibrate::{Narrow, NoiseStatistics, Width, noise_by_differences_dn};
-use crate::decompose::{DecomposeSettings, Decomposer, Decomposition, OVERDRIVEN_PART, Return, Waveform};
+use std::sync::Arc;
+
+use wavex_simd::SimdLevel;
+
+use crate::decompose::{
+    BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Mode, OVERDRIVEN_PART, Return, Tables,
+    Waveform,
+};
 use crate::flags;
 use crate::sensor_model::{Background, ChannelModel, ModelError};
 use crate::shape::{Pulse, Shape};
@@ -143,7 +150,11 @@ struct Single {
 }
 
 impl Statistics {
-    pub(super) fn of(blocks: &[Waveform<'_>], model: &ChannelModel) -> Result<Statistics, ModelError> {
+    pub(super) fn of(
+        blocks: &[Waveform<'_>],
+        model: &ChannelModel,
+        simd: SimdLevel,
+    ) -> Result<Statistics, ModelError> {
         let differences_dn = noise_by_differences_dn(blocks.iter().copied());
         let free = with_free_background(model)?;
         let settings = DecomposeSettings {
@@ -156,7 +167,7 @@ impl Statistics {
         let mut stretches = Vec::new();
         let (mut offsets, mut singles, mut with_tail, mut with_echo) =
             (Vec::new(), Vec::new(), Vec::new(), 0);
-        decompose(blocks, &free, &settings, |index, outcome| {
+        decompose(blocks, &free, &settings, simd, |index, outcome| {
             with_echo += usize::from(outcome.counts.n_candidates > 0);
             if outcome.saturated {
                 return;
@@ -191,7 +202,7 @@ impl Statistics {
             ln_width,
             residual: residual_by_lag(&free, &shape, blocks, &of_shape),
             least_residual,
-            fits: fits(blocks, &narrow, model)?,
+            fits: fits(blocks, &narrow, model, simd)?,
         })
     }
 }
@@ -209,18 +220,18 @@ fn with_free_background(model: &ChannelModel) -> Result<ChannelModel, ModelError
 }
 
 /// Decomposes blocks; `take` gets the index of each.
-///
-/// By the scalar kernels: in double precision, and without tables for a model that is used once.
 fn decompose(
     blocks: &[Waveform<'_>],
     model: &ChannelModel,
     settings: &DecomposeSettings,
+    simd: SimdLevel,
     mut take: impl FnMut(usize, &Decomposition<'_>),
 ) -> Result<(), ModelError> {
-    let mut decomposer = Decomposer::new(model, settings, 0)?;
-    for (index, block) in blocks.iter().enumerate() {
-        take(index, &decomposer.decompose(block.samples));
-    }
+    let tables = Tables::new(model).map(Arc::new);
+    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, simd)?;
+    let mut outcomes = Decompositions::default();
+    decomposer.decompose(blocks, &mut outcomes);
+    outcomes.iter().enumerate().for_each(|(index, outcome)| take(index, &outcome));
     Ok(())
 }
 
@@ -333,7 +344,12 @@ fn residual_by_lag(
 }
 
 /// Chi-square of the weak and of the strong third of single echoes, as a run decomposes them.
-fn fits(blocks: &[Waveform<'_>], singles: &[&Single], model: &ChannelModel) -> Result<[Fits; 2], ModelError> {
+fn fits(
+    blocks: &[Waveform<'_>],
+    singles: &[&Single],
+    model: &ChannelModel,
+    simd: SimdLevel,
+) -> Result<[Fits; 2], ModelError> {
     let mut by_height: Vec<&Single> = singles.to_vec();
     by_height.sort_by(|a, b| a.found.amplitude_dn.total_cmp(&b.found.amplitude_dn));
     let settings = DecomposeSettings {
@@ -346,7 +362,7 @@ fn fits(blocks: &[Waveform<'_>], singles: &[&Single], model: &ChannelModel) -> R
     let [weak, strong] = [&by_height[..third], &by_height[by_height.len() - third..]];
     let chosen: Vec<Waveform<'_>> = weak.iter().chain(strong).map(|single| blocks[single.block]).collect();
     let mut all = [Vec::new(), Vec::new()];
-    decompose(&chosen, model, &settings, |index, outcome| {
+    decompose(&chosen, model, &settings, simd, |index, outcome| {
         let freedom = outcome.degrees_of_freedom() as f64;
         if freedom > 0.0 {
             let fit = [outcome.chi_square, freedom, outcome.expected_excess];

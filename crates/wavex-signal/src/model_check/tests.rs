@@ -51,7 +51,7 @@ fn recording(waveforms: usize, shape_error: f64) -> Vec<Vec<u16>> {
 
 fn compared(samples: &[Vec<u16>], model: &ChannelModel) -> Comparison {
     let blocks = samples.iter().map(|samples| Waveform { samples });
-    compare(blocks, model).unwrap().unwrap()
+    compare(blocks, model, SimdLevel::best()).unwrap().unwrap()
 }
 
 /// Areas of the findings for a changed model.
@@ -66,7 +66,7 @@ fn the_right_model_has_no_findings() {
     assert_eq!(areas(&recording(600, 0.0), |_| {}), []);
     let few = recording(MIN_WAVEFORMS - 1, 0.0);
     let blocks = few.iter().map(|samples| Waveform { samples });
-    assert_eq!(compare(blocks, &model()).unwrap(), None);
+    assert_eq!(compare(blocks, &model(), SimdLevel::best()).unwrap(), None);
 }
 
 #[test]

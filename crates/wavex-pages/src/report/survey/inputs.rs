@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::{StripTrajectory, SurveyInput};
+use crate::report::InputEntry;
 use wavex_engine::job::{CELLS, JobSettings};
 
 /// End of the names of cells.
@@ -38,8 +39,9 @@ impl StripPaths {
     }
 
     /// Inputs of the survey from all entries of a report and its sensor models.
-    pub fn inputs(&self, entries: &[Value], models: &Value) -> Vec<SurveyInput> {
-        let input = |entry: &Value| {
+    pub fn inputs(&self, entries: &[InputEntry], models: &Value) -> Vec<SurveyInput> {
+        let input = |entry: &InputEntry| {
+            let entry = &entry.values().unwrap_or_default();
             let is_done = matches!(entry["status"].as_str(), Some("done" | "skipped"));
             let mut input = SurveyInput::of_entry(entry, models);
             input.cells = is_done.then(|| self.cells(&input.stem));

@@ -128,7 +128,7 @@ impl Calibrator {
         let of_gain =
             self.look_ahead.recorded(channel).filter(move |block| GainLevel::of(block.gain) == level);
         let blocks = of_gain.map(|block| Waveform { samples: block.samples });
-        compare(blocks, &model.at_gain(level.gain())?)
+        compare(blocks, &model.at_gain(level.gain())?, self.simd)
     }
 
     /// The gain of most of the held blocks of a receiver.
