@@ -36,7 +36,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure
     // A pattern has several.
     for input in report.inputs.iter().filter(|_| !quiet) {
         said += &format!("{}\n", shown(&input.path).display());
-        for (name, words) in input.sensor_model.iter().flat_map(sensor_model_words) {
+        for (name, words) in input.sensor_model.as_deref().into_iter().flat_map(sensor_model_words) {
             said += &format!("  {name:14}  {words}\n");
         }
         for output in &input.outputs {

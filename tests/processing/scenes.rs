@@ -109,7 +109,7 @@ fn flown(scene: &Scene) -> (ChannelModel, Rows, Rows) {
     ]);
     let job = job(&stages);
     let report = engine::run(&job, &into(&job, folder.path())).unwrap();
-    let model = report.inputs[0].sensor_model.clone().unwrap().low_power.unwrap();
+    let model = report.inputs[0].sensor_model.as_deref().unwrap().low_power.clone().unwrap();
     let truth = rows(&folder.path().join("truth.csv"), ["range_m", "amplitude_dn", "width_ratio"]);
     let returns = rows(&folder.path().join("returns.csv"), ["range_m", "amplitude_dn", "range_sd_m"]);
     (model, truth, returns)

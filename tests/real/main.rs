@@ -213,7 +213,7 @@ fn a_recording_of_sixteen_thousand_pulses_comes_through_whole() {
     let velocity_mps = report.group_velocity_mps.unwrap();
     // RIEGL's own value, from the resolution of the durations in the file: 299 713 794 +- 18 m/s.
     assert!((velocity_mps / 299_713_794.0 - 1.0).abs() < 5e-5, "{velocity_mps}");
-    let low_power = report.sensor_model.unwrap().low_power.unwrap();
+    let low_power = report.sensor_model.as_deref().unwrap().low_power.clone().unwrap();
     println!("noise {:.3} DN, lag 1 {:.3}", low_power.noise_sd_dn, low_power.autocorrelation[0]);
     assert!((0.80..0.90).contains(&low_power.noise_sd_dn), "{}", low_power.noise_sd_dn);
     assert!((0.57..0.66).contains(&low_power.autocorrelation[0]), "{}", low_power.autocorrelation[0]);
@@ -241,7 +241,7 @@ fn agreement(data: &Path, set: &[&str]) -> Vec<agreement::Pulse> {
 
 fn agreement_in(out: &Path, data: &Path, set: &[&str]) -> Vec<agreement::Pulse> {
     let report = run_job("q680i_pulsewaves.toml", data, out, set);
-    let channel = report.sensor_model.unwrap().low_power.unwrap();
+    let channel = report.sensor_model.as_deref().unwrap().low_power.clone().unwrap();
     let response = channel.response.unwrap();
     println!(
         "{set:?}: response of {} echoes, uncertain by {:.5}, {:.3} ns wide; error factor {:.3}",
@@ -650,8 +650,8 @@ fn long_pulses_without_free_samples_come_through_unattended() {
     let job = "[job]\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'neon.arrow'\n[[stage]]\ntype = 'calibrate'\nresponse = 'gaussian'\n\
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
     let report = wavex_testkit::recordings::run("neon", job, out.path(), out.path(), &[]);
-    let model = report.sensor_model.unwrap();
-    let (low_power, reference) = (model.low_power.unwrap(), model.reference.unwrap());
+    let model = report.sensor_model.as_deref().unwrap();
+    let (low_power, reference) = (model.low_power.clone().unwrap(), model.reference.clone().unwrap());
     println!(
         "NEON: echoes {:.2} ns wide, level {:.1} +- {:.1} DN, fits leave {:.2} % of the height; outgoing pulses {:.2} ns wide",
         low_power.pulse_fwhm_ns,

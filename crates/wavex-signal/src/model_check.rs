@@ -13,7 +13,7 @@
 use wavex_simd::SimdLevel;
 
 use crate::calibrate::set_noise;
-use crate::decompose::Waveform;
+use crate::decompose::{KnownTables, Waveform};
 use crate::noise::fit_by_bic;
 use crate::sensor_model::{Background, ChannelModel, ModelError};
 use statistics::Statistics;
@@ -37,6 +37,15 @@ const MAX_WAVEFORMS: usize = 2000;
 /// Largest order of the noise measured.
 const MAX_AR_ORDER: usize = 4;
 
+/// What the vector kernels need.
+#[derive(Debug, Clone)]
+pub struct Vectors {
+    /// Instructions to use.
+    pub simd: SimdLevel,
+    /// Tables of equal models of other recordings.
+    pub tables: KnownTables,
+}
+
 /// Result of a comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
@@ -54,7 +63,7 @@ pub struct Comparison {
 pub fn compare<'a>(
     blocks: impl Iterator<Item = Waveform<'a>> + Clone,
     model: &ChannelModel,
-    simd: SimdLevel,
+    with: &Vectors,
 ) -> Result<Option<Comparison>, ModelError> {
     let waveforms = blocks.clone().count();
     if waveforms < MIN_WAVEFORMS {
@@ -63,7 +72,7 @@ pub fn compare<'a>(
     // An odd step covers all phases of the first samples if these alternate.
     let step = waveforms.div_ceil(MAX_WAVEFORMS) | 1;
     let chosen: Vec<Waveform<'a>> = blocks.clone().step_by(step).collect();
-    let statistics = Statistics::of(&chosen, model, simd)?;
+    let statistics = Statistics::of(&chosen, model, with)?;
     let mut findings = limits::findings(&statistics, model)?;
     let mut highest = running::Highest::default();
     blocks.for_each(|block| highest.add(block.samples.iter().max().copied().unwrap_or(0)));

@@ -98,9 +98,10 @@ fn a_receiver_without_single_echoes_has_the_response_of_the_other() {
     // second they are strong.
     for (seed, heights_dn) in [(1, [60.0, 240.0]), (2, [60.0, 240.0]), (9, [60.0, 2400.0])] {
         let (_, rows, echoes, report) = found_of_plateaus(seed, heights_dn);
-        let model = report.sensor_model.unwrap();
-        let of_echoes = |model: Option<ChannelModel>| model.unwrap().response.unwrap().echoes;
-        let borrowed = [model.low_power, model.high_power].map(|model| of_echoes(model) == 0);
+        let model = report.sensor_model.as_deref().unwrap();
+        let of_echoes =
+            |model: &Option<ChannelModel>| model.as_ref().unwrap().response.as_ref().unwrap().echoes;
+        let borrowed = [&model.low_power, &model.high_power].map(|model| of_echoes(model) == 0);
         assert_eq!(borrowed, [heights_dn[1] > 1000.0, heights_dn[1] < 1000.0]);
         assert_few_more(&rows, echoes, 100);
         let mut notes = report.stages.iter().flat_map(|stage| &stage.notes);

@@ -48,6 +48,7 @@ mod fit_queue;
 mod fitted;
 mod fourier_response;
 mod initial_guess;
+mod known_tables;
 mod layout;
 mod level;
 mod level_tables;
@@ -77,6 +78,7 @@ use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
 use crate::sensor_model::{ChannelModel, ModelError};
 
 pub use candidates::FilterPeak;
+pub use known_tables::KnownTables;
 pub use outcome::Decompositions;
 pub use tables::Tables;
 

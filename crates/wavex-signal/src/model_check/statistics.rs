@@ -1,12 +1,9 @@
 //! Measurements of waveforms, as independent of the compared model as possible.
 
+use super::Vectors;
 use crate::calibrate::{Narrow, NoiseStatistics, Width, noise_by_differences_dn};
-use std::sync::Arc;
-
-use wavex_simd::SimdLevel;
-
 use crate::decompose::{
-    BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Mode, OVERDRIVEN_PART, Return, Tables,
+    BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Mode, OVERDRIVEN_PART, Return,
     Waveform,
 };
 use crate::flags;
@@ -153,7 +150,7 @@ impl Statistics {
     pub(super) fn of(
         blocks: &[Waveform<'_>],
         model: &ChannelModel,
-        simd: SimdLevel,
+        with: &Vectors,
     ) -> Result<Statistics, ModelError> {
         let differences_dn = noise_by_differences_dn(blocks.iter().copied());
         let free = with_free_background(model)?;
@@ -167,7 +164,7 @@ impl Statistics {
         let mut stretches = Vec::new();
         let (mut offsets, mut singles, mut with_tail, mut with_echo) =
             (Vec::new(), Vec::new(), Vec::new(), 0);
-        decompose(blocks, &free, &settings, simd, |index, outcome| {
+        decompose(blocks, &free, &settings, with, |index, outcome| {
             with_echo += usize::from(outcome.counts.n_candidates > 0);
             if outcome.saturated {
                 return;
@@ -202,7 +199,7 @@ impl Statistics {
             ln_width,
             residual: residual_by_lag(&free, &shape, blocks, &of_shape),
             least_residual,
-            fits: fits(blocks, &narrow, model, simd)?,
+            fits: fits(blocks, &narrow, model, with)?,
         })
     }
 }
@@ -224,11 +221,11 @@ fn decompose(
     blocks: &[Waveform<'_>],
     model: &ChannelModel,
     settings: &DecomposeSettings,
-    simd: SimdLevel,
+    with: &Vectors,
     mut take: impl FnMut(usize, &Decomposition<'_>),
 ) -> Result<(), ModelError> {
-    let tables = Tables::new(model).map(Arc::new);
-    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, simd)?;
+    let tables = with.tables.of(model);
+    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, with.simd)?;
     let mut outcomes = Decompositions::default();
     decomposer.decompose(blocks, &mut outcomes);
     outcomes.iter().enumerate().for_each(|(index, outcome)| take(index, &outcome));
@@ -348,7 +345,7 @@ fn fits(
     blocks: &[Waveform<'_>],
     singles: &[&Single],
     model: &ChannelModel,
-    simd: SimdLevel,
+    with: &Vectors,
 ) -> Result<[Fits; 2], ModelError> {
     let mut by_height: Vec<&Single> = singles.to_vec();
     by_height.sort_by(|a, b| a.found.amplitude_dn.total_cmp(&b.found.amplitude_dn));
@@ -362,7 +359,7 @@ fn fits(
     let [weak, strong] = [&by_height[..third], &by_height[by_height.len() - third..]];
     let chosen: Vec<Waveform<'_>> = weak.iter().chain(strong).map(|single| blocks[single.block]).collect();
     let mut all = [Vec::new(), Vec::new()];
-    decompose(&chosen, model, &settings, simd, |index, outcome| {
+    decompose(&chosen, model, &settings, with, |index, outcome| {
         let freedom = outcome.degrees_of_freedom() as f64;
         if freedom > 0.0 {
             let fit = [outcome.chi_square, freedom, outcome.expected_excess];

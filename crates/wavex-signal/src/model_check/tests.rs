@@ -9,6 +9,10 @@ use crate::simulated::{Random, channel, digitised, noise, pulse};
 const FWHM: f64 = 4.4;
 const BACKGROUND_DN: f64 = 12.3;
 
+fn vectors() -> Vectors {
+    Vectors { simd: SimdLevel::best(), tables: KnownTables::default() }
+}
+
 fn process() -> ArNoise {
     ArNoise::new(&[0.6], 0.8).unwrap()
 }
@@ -51,7 +55,7 @@ fn recording(waveforms: usize, shape_error: f64) -> Vec<Vec<u16>> {
 
 fn compared(samples: &[Vec<u16>], model: &ChannelModel) -> Comparison {
     let blocks = samples.iter().map(|samples| Waveform { samples });
-    compare(blocks, model, SimdLevel::best()).unwrap().unwrap()
+    compare(blocks, model, &vectors()).unwrap().unwrap()
 }
 
 /// Areas of the findings for a changed model.
@@ -66,7 +70,7 @@ fn the_right_model_has_no_findings() {
     assert_eq!(areas(&recording(600, 0.0), |_| {}), []);
     let few = recording(MIN_WAVEFORMS - 1, 0.0);
     let blocks = few.iter().map(|samples| Waveform { samples });
-    assert_eq!(compare(blocks, &model(), SimdLevel::best()).unwrap(), None);
+    assert_eq!(compare(blocks, &model(), &vectors()).unwrap(), None);
 }
 
 #[test]

@@ -13,6 +13,7 @@ use model_check::{CHECKED_WAVEFORMS, ReceiverCheck};
 pub(crate) use model_file::write_model;
 pub use model_file::{load_model, model_json, parse_model};
 pub use presets::Preset;
+use shared::SharedModel;
 use wavex_line::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use wavex_line::stage::{
     Holds, Learning, Learns, LookAhead, MakeTransform, Output, OutputFile, Plan, Result, RunContext,
@@ -31,6 +32,7 @@ mod model_check;
 mod model_file;
 mod presets;
 mod response_and_limits;
+mod shared;
 
 /// Receivers of echoes.
 const ECHOES: [Channel; 2] = [Channel::LowPower, Channel::HighPower];
@@ -49,8 +51,8 @@ impl TransformConfig for Calibrate {
 
     fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
         let model = match (&self.load, self.preset) {
-            (Some(path), _) => Some(Arc::new(load_model(&run.input_path(path))?)),
-            (None, Some(preset)) => Some(Arc::new(preset.model()?)),
+            (Some(path), _) => Some(self.shared.load(&run.input_path(path))?),
+            (None, Some(preset)) => Some(self.shared.preset(preset)?),
             (None, None) => None,
         };
         let save = self.save.as_ref().filter(|_| run.has_outputs);

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Preset;
+use super::{Preset, SharedModel};
 use wavex_line::keys::{InvalidKey, above};
 use wavex_line::stage::{Config, LookAhead};
 
@@ -76,6 +76,8 @@ pub struct Calibrate {
     /// `load`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<Preset>,
+    #[serde(skip)]
+    pub(super) shared: SharedModel,
 }
 
 /// A number, or `auto`.
@@ -141,6 +143,7 @@ impl Default for Calibrate {
             save: None,
             load: None,
             preset: None,
+            shared: SharedModel::default(),
         }
     }
 }
