@@ -9,6 +9,9 @@
 //! outgoing pulses, two receivers and blocks of the length of their echoes, and the recording
 //! `riegl_example3` below `WAVEX_DATA`, calibration included. `-- scenes` measures these alone.
 //!
+//! Last, what stages cost besides the work that they are there for: `decompose` besides its kernels, and the readers
+//! besides a copy of what they read, per waveform, one thread. `-- stages` measures these alone.
+//!
 //! The result of the mixed scene is compared with two ceilings. Each adds up the time of decomposition, of compressing
 //! the same records with the `laz` crate, and of georeferencing, divided by two cores without loss.
 //! Decomposition is measured by the yardstick in C (`WAVEX_YARDSTICK`), or by the kernels of the
@@ -34,8 +37,9 @@ use wavex_formats::trajectory::sbet::SbetRecord;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
+use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 use wavex_simd::SimdLevel;
-use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model, noise};
+use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model as true_model, noise};
 
 const WAVEFORMS: usize = 3_000_000;
 const SHOTS_PER_LINE: usize = 2000;
@@ -45,6 +49,7 @@ const START_S: f64 = 200_000.0;
 const SPEED_MPS: f64 = 60.0;
 const THREADS: usize = 2;
 const GOAL: f64 = 0.7;
+const GOAL_BUSY: f64 = 1.85;
 /// Minimum time to georeference a point, ns.
 ///
 /// Arithmetic of one rotation and one projection.
@@ -96,10 +101,10 @@ fn header() -> ContainerHeader {
 
 /// Writes the recording.
 ///
-/// Lines from -30 to 30 degrees, one block of the mixed scene per shot.
-fn write_recording(path: &Path, lines: usize) {
+/// Lines from -30 to 30 degrees, one block of the scene per shot.
+fn write_recording(path: &Path, lines: usize, scene: Scene) {
     let noise = noise();
-    let mut waveforms = Waveforms::new(&model(&noise), &noise, Scene::Mixed, 9);
+    let mut waveforms = Waveforms::new(&true_model(&noise), &noise, scene, 9);
     let to = BufWriter::new(File::create(path).unwrap());
     let mut writer = ContainerWriter::file(to, path, &header(), Compression::Lz4).unwrap();
     let mut samples = Vec::new();
@@ -187,6 +192,96 @@ fn scenes(folder: &Path) {
     print_scene("riegl_example3", &folder, Some(&saved), &first);
 }
 
+/// Lines of [`SHOTS_PER_LINE`] waveforms of the comparison of stages with their work.
+const STAGE_LINES: usize = 200;
+
+/// Prints what stages cost besides their work.
+fn stages(folder: &Path) {
+    let folder = folder.join("stages");
+    fs::create_dir_all(&folder).unwrap();
+    println!("\n{:<44}{:>10}{:>10}{:>10}", "ns per waveform, one thread", "stage", "work", "besides");
+    let tell = |name: &str, stage_ns: f64, work_ns: f64| {
+        println!("{name:<44}{stage_ns:>10.0}{work_ns:>10.0}{:>10.0}", stage_ns - work_ns);
+    };
+    write_recording(&folder.join("flight.arrow"), STAGE_LINES, Scene::One);
+    let waveforms = (STAGE_LINES * SHOTS_PER_LINE) as f64;
+    let job = |calibrate: &str, mode: &str| {
+        format!(
+            "[job]\nthreads = 1\n[[stage]]\ntype = 'read_arrow'\npath = 'flight.arrow'\n{calibrate}\
+             [[stage]]\ntype = 'decompose'\nmode = '{mode}'\n[[stage]]\ntype = 'write_lstat'\n"
+        )
+    };
+    run(&folder, &job(&format!("{CALIBRATE}save = 'model.json'\n"), "fastest"));
+    let model: SensorModel = serde_json::from_slice(&fs::read(folder.join("model.json")).unwrap()).unwrap();
+    let model = model.high_power.unwrap();
+    let load = format!("{CALIBRATE}load = 'model.json'\n");
+    for (name, mode) in [("fastest", Mode::Fastest), ("refined", Mode::Refined)] {
+        let stage_ns = least_working_s(&folder, &job(&load, name), "decompose") * 1e9 / waveforms;
+        tell(&format!("decompose, {name}, one echo"), stage_ns, kernels_ns(&model, Scene::One, mode));
+    }
+    let bytes = fs::read(folder.join("flight.arrow")).unwrap();
+    let stage_ns = least_working_s(&folder, &job(&load, "fastest"), "read_arrow") * 1e9 / waveforms;
+    tell("read_arrow, LZ4", stage_ns, copy_ns(&bytes) / waveforms);
+    let Some(data) = std::env::var_os("WAVEX_DATA") else {
+        println!("skipped: WAVEX_DATA not set: no PulseWaves");
+        return;
+    };
+    let path = Path::new(&data).join(REAL).with_extension("pls");
+    let job = format!(
+        "[job]\nthreads = 1\n[[stage]]\ntype = 'read_pulsewaves'\npath = '{}'\n[[stage]]\ntype = 'write_lstat'\n",
+        path.display()
+    );
+    // The first line includes the look-ahead for the source of emission times.
+    let stage_ns = 1e3
+        * least_of(
+            &folder,
+            &job,
+            |stage| {
+                let us = stage["line_us"]["p50"].as_f64().unwrap();
+                let shots =
+                    stage["items_out"]["shots"].as_f64().unwrap() / stage["lines_out"].as_f64().unwrap();
+                us / shots
+            },
+            "read_pulsewaves",
+        );
+    let [pulses, waves] = ["pls", "wvs"].map(|ending| fs::read(path.with_extension(ending)).unwrap());
+    let records = pulses.len() as f64 / 48.0;
+    tell(
+        "read_pulsewaves, riegl_example3, per pulse",
+        stage_ns,
+        copy_ns(&[pulses, waves].concat()) / records,
+    );
+}
+
+/// Least working time of a stage in several runs, s.
+fn least_working_s(folder: &Path, job: &str, stage: &str) -> f64 {
+    least_of(folder, job, |stage| stage["working_s"].as_f64().unwrap(), stage)
+}
+
+/// Least value of a stage's entry of the report in several runs.
+fn least_of(folder: &Path, job: &str, value: impl Fn(&Value) -> f64, stage: &str) -> f64 {
+    let measured = || {
+        run(folder, job);
+        let report = fs::read(folder.join("job_report.json")).unwrap();
+        let report: Value = serde_json::from_slice(&report).unwrap();
+        let stages = report["inputs"][0]["stages"].as_array().unwrap();
+        value(stages.iter().find(|entry| entry["type"] == stage).unwrap())
+    };
+    (0..5).map(|_| measured()).fold(f64::INFINITY, f64::min)
+}
+
+/// Time to copy bytes, ns.
+fn copy_ns(bytes: &[u8]) -> f64 {
+    let mut copy = vec![0; bytes.len()];
+    let mut run = || {
+        let started = Instant::now();
+        copy.copy_from_slice(std::hint::black_box(bytes));
+        std::hint::black_box(&mut copy);
+        started.elapsed().as_secs_f64() * 1e9
+    };
+    (0..9).map(|_| run()).fold(f64::INFINITY, f64::min)
+}
+
 /// Prints the figures of a scene from the report of its last run.
 fn print_scene(name: &str, folder: &Path, saved: Option<&Ran>, first: &Ran) {
     let report: Value = serde_json::from_slice(&fs::read(folder.join("job_report.json")).unwrap()).unwrap();
@@ -210,6 +305,8 @@ fn print_scene(name: &str, folder: &Path, saved: Option<&Ran>, first: &Ran) {
 /// Measurements of a run.
 struct Ran {
     seconds: f64,
+    /// Processor time of all threads.
+    cpu_s: f64,
     peak_mb: f64,
     said: String,
 }
@@ -225,17 +322,31 @@ fn run(folder: &Path, job: &str) -> Ran {
         .spawn()
         .unwrap();
     let status = format!("/proc/{}/status", child.id());
-    let mut peak_kb = 0.0;
+    let times = format!("/proc/{}/stat", child.id());
+    let (mut peak_kb, mut ticks) = (0.0, 0.0);
     while child.try_wait().unwrap().is_none() {
         let text = fs::read_to_string(&status).unwrap_or_default();
         let peak = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         peak_kb = peak.and_then(|peak| peak.trim().strip_suffix(" kB")?.parse().ok()).unwrap_or(peak_kb);
+        ticks = ticks_of(&fs::read_to_string(&times).unwrap_or_default()).unwrap_or(ticks);
         std::thread::sleep(Duration::from_millis(5));
     }
     let seconds = started.elapsed().as_secs_f64();
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "the run failed");
-    Ran { seconds, peak_mb: peak_kb / 1024.0, said: String::from_utf8_lossy(&output.stdout).into_owned() }
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    Ran { seconds, cpu_s: ticks / TICKS_PER_S, peak_mb: peak_kb / 1024.0, said }
+}
+
+/// Unit of the times in `/proc/PID/stat`; the same on all systems that Linux runs on today.
+const TICKS_PER_S: f64 = 100.0;
+
+/// Processor time in the text of `/proc/PID/stat`: the 14th and 15th field, user and system.
+fn ticks_of(stat: &str) -> Option<f64> {
+    // The second field, the name of the program, can contain spaces.
+    let mut rest = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
+    let mut next = || rest.next()?.parse::<f64>().ok();
+    Some(next()? + next()?)
 }
 
 /// Returns the records of a LAZ file and their LASzip record (LAS 1.4 specification, public header
@@ -289,21 +400,20 @@ fn yardstick_ns() -> Option<f64> {
     Some(fits + 0.85 * detect + 0.07 * two)
 }
 
-/// Returns the time of the kernels of `decompose` for a waveform of the mixed scene, ns.
+/// Returns the time of the kernels of `decompose` for a waveform of a scene, ns.
 ///
-/// The minimum of several runs on one thread, with the true model.
-fn kernels_ns() -> f64 {
+/// The minimum of several runs on one thread.
+fn kernels_ns(model: &ChannelModel, scene: Scene, mode: Mode) -> f64 {
     let noise = noise();
-    let model = model(&noise);
-    let mut waveforms = Waveforms::new(&model, &noise, Scene::Mixed, 9);
+    let mut waveforms = Waveforms::new(&true_model(&noise), &noise, scene, 9);
     let mut samples = Vec::new();
     for _ in 0..10 * SHOTS_PER_LINE {
         waveforms.next(&mut samples);
     }
     let blocks: Vec<_> = samples.chunks(SAMPLES).map(|samples| Waveform { samples }).collect();
-    let tables = Tables::new(&model).map(Arc::new);
+    let tables = Tables::new(model).map(Arc::new);
     let (settings, path) = (DecomposeSettings::default(), SimdLevel::best());
-    let mut kernels = BatchDecomposer::new(&model, tables, &settings, Mode::Refined, path).unwrap();
+    let mut kernels = BatchDecomposer::new(model, tables, &settings, mode, path).unwrap();
     let mut outcomes = Decompositions::default();
     let mut run = || {
         let started = Instant::now();
@@ -315,10 +425,16 @@ fn kernels_ns() -> f64 {
 
 fn main() {
     let folder = std::env::temp_dir().join(format!("wavex-bench-chain-{}", std::process::id()));
-    if !std::env::args().any(|argument| argument == "scenes") {
+    let only = |part: &str| std::env::args().any(|argument| argument == part);
+    if !only("scenes") && !only("stages") {
         mixed_scene(&folder);
     }
-    scenes(&folder);
+    if !only("stages") {
+        scenes(&folder);
+    }
+    if !only("scenes") {
+        stages(&folder);
+    }
     // A failure to remove the temporary folder is harmless.
     if std::env::var_os("WAVEX_BENCH_KEEP").is_none() {
         let _ = fs::remove_dir_all(&folder);
@@ -333,7 +449,7 @@ fn mixed_scene(folder: &Path) {
     for (name, lines) in [("tenth", lines / 10), ("whole", lines)] {
         let folder = folder.join(name);
         fs::create_dir_all(&folder).unwrap();
-        write_recording(&folder.join("flight.arrow"), lines);
+        write_recording(&folder.join("flight.arrow"), lines, Scene::Mixed);
         write_trajectory(&folder.join("flight.out"), (lines * SHOTS_PER_LINE) as f64 / PULSE_RATE_HZ);
         ran.push(run(&folder, &job(&format!("{CALIBRATE}save = '*_model.json'\n"))));
     }
@@ -345,6 +461,11 @@ fn mixed_scene(folder: &Path) {
     println!("with calibration         {:6.3} M waveforms/s", waveforms / ran[1].seconds * 1e-6);
     let rate = waveforms / loaded.seconds * 1e-6;
     println!("with the saved model     {rate:6.3} M waveforms/s");
+    println!(
+        "cores kept busy          {:6.2} of {THREADS}, goal {GOAL_BUSY}; {:.2} us of processor time per waveform",
+        loaded.cpu_s / loaded.seconds,
+        loaded.cpu_s * 1e6 / waveforms
+    );
     println!(
         "peak memory              {:6.0} MB; a tenth of the waveforms {:.0} MB",
         ran[1].peak_mb, ran[0].peak_mb
@@ -363,7 +484,7 @@ fn mixed_scene(folder: &Path) {
             rate / ceiling
         );
     };
-    tell("our kernels", kernels_ns());
+    tell("our kernels", kernels_ns(&true_model(&noise()), Scene::Mixed, Mode::Refined));
     match yardstick_ns() {
         Some(decompose_ns) => tell("the yardstick", decompose_ns),
         None => println!("NO YARDSTICK: set WAVEX_YARDSTICK to its run script."),

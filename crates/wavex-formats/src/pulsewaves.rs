@@ -215,10 +215,7 @@ impl Reader {
         let at = |field| self.pulse_at(pulse.index, field);
         let descriptor = descriptor(file, at(44), &self.records, pulse)?;
         let offset = wave_offset(file, at(8), self.waves.length(), pulse)?;
-        match &mut self.wave_decoder {
-            None => waves.read(&mut self.waves, offset, pulse.index, descriptor),
-            Some(decoder) => waves.read_compressed(&mut self.waves, decoder, offset, pulse.index, descriptor),
-        }
+        waves.read(&mut self.waves, self.wave_decoder.as_mut(), offset, pulse.index, descriptor)
     }
 
     /// Creates the error for a missing pulse.

@@ -1,11 +1,9 @@
 //! Numbers and samples of the waves of a pulse, stored or compressed.
 
-use std::io::{Read, Seek};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
 use super::descriptor::{SamplingRecord, SegmentKind};
-use super::window::FileWindow;
 use crate::arithmetic::{Decoder, IntegerDecoder};
 use crate::{Error, Result};
 
@@ -28,6 +26,10 @@ pub(super) trait WaveInput {
     fn sample_count(&mut self, bits: u8) -> Result<u32>;
     /// Appends the samples of a segment to `out`.
     fn samples(&mut self, sampling: &SamplingRecord, count: usize, out: &mut Vec<u16>) -> Result<()>;
+    /// Checks that the waves end here.
+    fn finish(&self) -> Result<()>;
+    /// Returns whether the bytes did not suffice; results are then worthless.
+    fn is_past_end(&self) -> bool;
     /// Creates an error at the next field.
     fn bad(&self, field: &str, problem: String) -> Error;
 }
@@ -46,31 +48,50 @@ fn too_large() -> String {
 }
 
 /// Waves as stored without compression.
-pub(super) struct StoredWaves<'a, R> {
-    window: &'a mut FileWindow<R>,
+pub(super) struct StoredWaves<'a> {
+    bytes: &'a [u8],
+    /// Position in the bytes.
+    at: usize,
+    /// Bytes from the first of them to the end of the file.
+    left: u64,
+    is_past_end: bool,
+    file: &'a Path,
     pulse: u64,
     start: u64,
-    at: u64,
 }
 
-impl<'a, R: Read + Seek> StoredWaves<'a, R> {
-    /// Starts at byte `start` of the waves file.
-    pub(super) fn new(window: &'a mut FileWindow<R>, pulse: u64, start: u64) -> StoredWaves<'a, R> {
-        StoredWaves { window, pulse, start, at: start }
+impl<'a> StoredWaves<'a> {
+    /// Starts at the first of `bytes`, `left` bytes before the end of the file: file, number of the pulse, and offset
+    /// in the file.
+    pub(super) fn new(
+        bytes: &'a [u8],
+        left: u64,
+        (file, pulse, start): (&'a Path, u64, u64),
+    ) -> StoredWaves<'a> {
+        StoredWaves { bytes, at: 0, left, is_past_end: false, file, pulse, start }
     }
 
     /// Reads `n` bytes.
-    fn take(&mut self, n: usize, field: &str) -> Result<&[u8]> {
-        let at = self.at;
-        let left = self.window.length().saturating_sub(at);
+    #[inline]
+    fn take(&mut self, n: usize, field: &str) -> Result<&'a [u8]> {
+        match self.bytes.get(self.at..).and_then(|rest| rest.get(..n)) {
+            Some(taken) if self.at + n <= MOST_BYTES as usize => {
+                self.at += n;
+                Ok(taken)
+            }
+            _ => Err(self.missing(n, field)),
+        }
+    }
+
+    /// Error for `n` bytes that cannot be read.
+    #[cold]
+    fn missing(&mut self, n: usize, field: &str) -> Error {
+        let left = self.left - self.at as u64;
         if n as u64 > left {
-            return Err(self.bad(field, format!("{n} bytes needed, {left} left in the file")));
+            return self.bad(field, format!("{n} bytes needed, {left} left in the file"));
         }
-        if at + n as u64 - self.start > MOST_BYTES {
-            return Err(self.bad(field, too_large()));
-        }
-        self.at += n as u64;
-        Ok(self.window.bytes(at, n, field)?.1)
+        self.is_past_end = self.at + n <= MOST_BYTES as usize;
+        self.bad(field, too_large())
     }
 
     /// Reads an unsigned number of 8, 16 or 32 bits.
@@ -80,7 +101,7 @@ impl<'a, R: Read + Seek> StoredWaves<'a, R> {
     }
 }
 
-impl<R: Read + Seek> WaveInput for StoredWaves<'_, R> {
+impl WaveInput for StoredWaves<'_> {
     fn skip(&mut self, bytes: usize) -> Result<()> {
         self.take(bytes, "extra waves bytes").map(|_| ())
     }
@@ -109,8 +130,16 @@ impl<R: Read + Seek> WaveInput for StoredWaves<'_, R> {
         Ok(())
     }
 
+    fn finish(&self) -> Result<()> {
+        Ok(())
+    }
+
+    fn is_past_end(&self) -> bool {
+        self.is_past_end
+    }
+
     fn bad(&self, field: &str, problem: String) -> Error {
-        malformed(self.window.file(), self.at, self.pulse, field, problem)
+        malformed(self.file, self.start + self.at as u64, self.pulse, field, problem)
     }
 }
 
@@ -159,17 +188,6 @@ impl<'a> CompressedWaves<'a> {
         let input = Decoder::new(bytes);
         let (last_duration, last_count, sample_bytes) = (0, 0, 0);
         CompressedWaves { decoder, bytes, input, file, pulse, start, last_duration, last_count, sample_bytes }
-    }
-
-    /// Returns whether the bytes did not suffice.
-    pub(super) fn is_past_end(&self) -> bool {
-        self.input.is_past_end()
-    }
-
-    /// Checks that the waves end here.
-    pub(super) fn finish(&self) -> Result<()> {
-        let end = self.input.check_end();
-        end.map(|_| ()).map_err(|problem| self.bad("compressed waves", problem.to_owned()))
     }
 
     /// Returns a number that must be within `range`.
@@ -233,6 +251,15 @@ impl WaveInput for CompressedWaves<'_> {
         out.resize(start + count, 0);
         numbers.samples(&mut self.input, 0, context, out.get_mut(start..).unwrap_or_default());
         if self.is_past_end() { self.finish() } else { Ok(()) }
+    }
+
+    fn finish(&self) -> Result<()> {
+        let end = self.input.check_end();
+        end.map(|_| ()).map_err(|problem| self.bad("compressed waves", problem.to_owned()))
+    }
+
+    fn is_past_end(&self) -> bool {
+        self.input.is_past_end()
     }
 
     fn bad(&self, field: &str, problem: String) -> Error {

@@ -8,9 +8,9 @@ use super::wave_input::{CompressedWaves, MOST_BYTES, StoredWaves, WaveDecoder, W
 use super::window::FileWindow;
 use crate::Result;
 
-/// Bytes of compressed waves that are decoded first; more if they do not suffice.
+/// Bytes of waves that are read first; more if they do not suffice.
 const FIRST_BYTES: u64 = 1 << 12;
-/// Bytes that suffice for all waves of a pulse: a sample takes at most five.
+/// Bytes that suffice for all waves of a pulse: a compressed sample takes at most five.
 const MOST_COMPRESSED_BYTES: u64 = 8 * MOST_BYTES;
 /// Maximum number of segments of a pulse.
 const MOST_SEGMENTS: usize = 1 << 16;
@@ -112,22 +112,11 @@ impl WaveSegments {
 
     /// Reads the segments of a pulse, replacing the old ones.
     ///
-    /// They are at byte `offset` of the waves file. Empty after an error.
+    /// They are at byte `offset` of the waves file, compressed if there is a decoder. Empty after an error.
     pub(super) fn read<R: Read + Seek>(
         &mut self,
         window: &mut FileWindow<R>,
-        offset: u64,
-        pulse: u64,
-        descriptor: &PulseDescriptor,
-    ) -> Result<()> {
-        self.read_all(&mut StoredWaves::new(window, pulse, offset), descriptor)
-    }
-
-    /// As [`WaveSegments::read`], for compressed waves.
-    pub(super) fn read_compressed<R: Read + Seek>(
-        &mut self,
-        window: &mut FileWindow<R>,
-        decoder: &mut WaveDecoder,
+        mut decoder: Option<&mut WaveDecoder>,
         offset: u64,
         pulse: u64,
         descriptor: &PulseDescriptor,
@@ -135,27 +124,28 @@ impl WaveSegments {
         let left = window.length().saturating_sub(offset);
         let mut length = FIRST_BYTES + u64::from(descriptor.extra_wave_bytes);
         loop {
-            let (file, bytes) = window.bytes(offset, length.min(left) as usize, "compressed waves")?;
-            let mut input = CompressedWaves::new(decoder, bytes, (file, pulse, offset));
-            let read = self.read_all(&mut input, descriptor).and_then(|()| input.finish());
+            let (file, bytes) = window.bytes(offset, length.min(left) as usize, "waves")?;
+            let place = (file, pulse, offset);
+            let (read, is_past_end) = match &mut decoder {
+                Some(decoder) => self.read_all(CompressedWaves::new(decoder, bytes, place), descriptor),
+                None => self.read_all(StoredWaves::new(bytes, left, place), descriptor),
+            };
             // Their size is not stored.
-            if !input.is_past_end() || length >= left.min(MOST_COMPRESSED_BYTES) {
-                if read.is_err() {
-                    self.clear();
-                }
+            if !is_past_end || length >= left.min(MOST_COMPRESSED_BYTES) {
                 return read;
             }
             length *= 8;
         }
     }
 
-    fn read_all(&mut self, input: &mut impl WaveInput, descriptor: &PulseDescriptor) -> Result<()> {
+    /// Reads the segments; also returns whether the bytes did not suffice.
+    fn read_all(&mut self, mut input: impl WaveInput, descriptor: &PulseDescriptor) -> (Result<()>, bool) {
         self.clear();
-        let read = self.read_samplings(input, descriptor);
+        let read = self.read_samplings(&mut input, descriptor).and_then(|()| input.finish());
         if read.is_err() {
             self.clear();
         }
-        read
+        (read, input.is_past_end())
     }
 
     fn read_samplings(&mut self, input: &mut impl WaveInput, descriptor: &PulseDescriptor) -> Result<()> {

@@ -118,6 +118,15 @@ impl Context {
         self.counters.observed.entry(name).or_default().add(value);
     }
 
+    /// Adds many values, each with its number, to the distribution `name`; see [`Context::observe`].
+    pub fn observe_all(&mut self, name: &'static str, values: impl IntoIterator<Item = (f64, u64)>) {
+        let mut values = values.into_iter().peekable();
+        if values.peek().is_some() {
+            let observed = self.counters.observed.entry(name).or_default();
+            values.for_each(|(value, n)| observed.add_many(value, n));
+        }
+    }
+
     /// Adds to the count `name`, which is not part of the report.
     pub fn count(&mut self, name: &'static str, n: u64) {
         *self.counters.counts.entry(name).or_default() += n;
@@ -260,9 +269,14 @@ impl Default for Distribution {
 impl Distribution {
     /// Adds a value; negative and NaN values count as 0.
     pub fn add(&mut self, value: f64) {
+        self.add_many(value, 1);
+    }
+
+    /// Adds a value `n` times.
+    pub fn add_many(&mut self, value: f64, n: u64) {
         // The cast saturates: NaN and negative values become 0. Recording cannot fail, because the
         // histogram resizes itself.
-        let _ = self.millionths.record((value * 1e6).round() as u64);
+        let _ = self.millionths.record_n((value * 1e6).round() as u64, n);
     }
 
     /// Adds a signed value; NaN counts as 0.

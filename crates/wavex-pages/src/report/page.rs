@@ -92,6 +92,7 @@ pub(super) fn page<'r>(
         @for body in &shown { (body) }
         details.job open { summary { "Job with all keys" } (details::all_keys(report)) }
     };
+    drop(shown);
     let page = document(&title, "", &header, &main);
     if page.len() > limit { Err(NoPage::TooLarge { limit }) } else { Ok(page) }
 }

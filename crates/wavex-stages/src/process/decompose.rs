@@ -1,6 +1,6 @@
 //! Decomposes waveforms into returns.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,6 +12,7 @@ use wavex_line::stage::{
     Config, Context, DecomposedLine, FittedShot, Map, MapConfig, Result, RunContext, StageError, StageSpec,
     check_whole_steps,
 };
+use wavex_line::system::Unpoisoned as _;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
@@ -141,6 +142,8 @@ pub struct Decompose {
     pub online_points: OnlinePoints,
     #[serde(skip)]
     tables: SharedTables,
+    #[serde(skip)]
+    idle: IdleWorkers,
 }
 
 /// Thoroughness of the decomposition.
@@ -202,6 +205,7 @@ impl Default for Decompose {
             distributed_targets: ProfilesKey::default(),
             online_points: OnlinePoints::default(),
             tables: SharedTables::default(),
+            idle: IdleWorkers::default(),
         }
     }
 }
@@ -276,6 +280,38 @@ impl Worker {
         let shots =
             ShotDecomposer::new(model, &tables, config, path)?.fusing(fusion.map(|fusion| &**fusion))?;
         Ok(Worker { model: Arc::clone(model), fusion: fusion.cloned(), _tables: tables, shots })
+    }
+}
+
+/// Workers of ended inputs, for the next ones with the same model; clones share them.
+#[derive(Clone, Default)]
+struct IdleWorkers(Arc<Mutex<Vec<Worker>>>);
+
+impl IdleWorkers {
+    /// A worker for this model, if one is idle.
+    fn take(&self, model: &Arc<SensorModel>, fusion: Option<&Arc<ChannelFusion>>) -> Option<Worker> {
+        let mut idle = self.0.lock().unpoisoned();
+        let place = idle.iter().position(|worker| worker.is_for(model, fusion))?;
+        Some(idle.swap_remove(place))
+    }
+
+    /// Keeps a worker, and no other ones than those for its model.
+    fn put(&self, worker: Worker) {
+        let mut idle = self.0.lock().unpoisoned();
+        idle.retain(|other| other.is_for(&worker.model, worker.fusion.as_ref()));
+        idle.push(worker);
+    }
+}
+
+impl std::fmt::Debug for IdleWorkers {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("IdleWorkers")
+    }
+}
+
+impl Drop for LineDecomposer {
+    fn drop(&mut self) {
+        self.worker.take().into_iter().for_each(|worker| self.config.idle.put(worker));
     }
 }
 
@@ -363,7 +399,10 @@ impl LineDecomposer {
     ) -> Result<()> {
         let mut worker = match self.worker.take() {
             Some(worker) if worker.is_for(model, scan_line.fusion.as_ref()) => worker,
-            _ => Worker::new(model, scan_line.fusion.as_ref(), &self.config, self.path)?,
+            _ => match self.config.idle.take(model, scan_line.fusion.as_ref()) {
+                Some(worker) => worker,
+                None => Worker::new(model, scan_line.fusion.as_ref(), &self.config, self.path)?,
+            },
         };
         let shot = |(index, of_shot)| ShotBlocks { index, blocks, of_shot, input: &scan_line.input };
         let is_only = self.config.online_points == OnlinePoints::Only;
@@ -390,5 +429,32 @@ impl LineDecomposer {
         }
         self.worker = Some(worker);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wavex_signal::noise::ArNoise;
+    use wavex_signal::simulated::channel;
+
+    #[test]
+    fn idle_workers_are_for_the_model_of_the_last_one() {
+        let model = |noise_sd_dn| {
+            let low_power = channel(&ArNoise::new(&[], noise_sd_dn).unwrap(), 4.0, 5.0);
+            Arc::new(SensorModel { low_power: Some(low_power), ..SensorModel::default() })
+        };
+        let (first, second) = (model(0.7), model(0.8));
+        let config = Decompose::default();
+        let worker =
+            |model: &Arc<SensorModel>| Worker::new(model, None, &config, SimdLevel::Portable).unwrap();
+        config.idle.put(worker(&first));
+        assert!(config.idle.take(&second, None).is_none());
+        assert!(config.idle.take(&first, None).is_some());
+        assert!(config.idle.take(&first, None).is_none(), "it is at work");
+        config.idle.put(worker(&first));
+        config.idle.put(worker(&second));
+        assert!(config.idle.take(&first, None).is_none(), "a new model replaces the old one");
+        assert!(config.clone().idle.take(&second, None).is_some());
     }
 }

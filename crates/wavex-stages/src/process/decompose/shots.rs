@@ -216,6 +216,7 @@ pub struct ShotDecomposer {
     found: Vec<FoundEcho>,
     profiles: Profiles,
     explained: FitCounts,
+    seen: SeenInLine,
     /// By shot index: whether an echo was received during the emission.
     expected: Vec<bool>,
 }
@@ -245,6 +246,7 @@ impl ShotDecomposer {
             found: Vec::new(),
             profiles: Profiles::new(model, config)?,
             explained: FitCounts::default(),
+            seen: SeenInLine::default(),
             expected: Vec::new(),
         })
     }
@@ -339,6 +341,7 @@ impl ShotDecomposer {
             }
             first_block += shot.of_shot.len();
         }
+        self.seen.report(cx);
         Ok(())
     }
 
@@ -359,7 +362,7 @@ impl ShotDecomposer {
             outgoing.unwrap_or_else(|| shot.anchored_departure(&self.found, self.emission_jitter_ns, cx));
         departure.sd_ns = departure.sd_ns.hypot(shot.input.emission_choice_sd_ns);
         if outgoing.is_some() && departure.sd_ns > 0.0 {
-            cx.observe("emission_sd_ns", departure.sd_ns);
+            self.seen.emission_sds_ns.push(departure.sd_ns);
         }
         if let Some(emission) = line.emissions.get_mut(shot.index as usize) {
             (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
@@ -515,8 +518,24 @@ impl ShotDecomposer {
             self.found.iter_mut().for_each(|found| both.align(found));
             both.fuse(shot, &mut self.found, stats)?;
         }
-        waveform.count(&self.found, stats, cx);
+        waveform.count(&self.found, stats, &mut self.seen);
         Ok(())
+    }
+}
+
+/// Quantities of the shots of a line, which the report gets at once.
+#[derive(Default)]
+struct SeenInLine {
+    emission_sds_ns: Vec<f64>,
+    /// Waveforms by their number of returns.
+    waveforms_by_returns: Vec<u64>,
+}
+
+impl SeenInLine {
+    fn report(&mut self, cx: &mut Context) {
+        cx.observe_all("emission_sd_ns", self.emission_sds_ns.drain(..).map(|sd_ns| (sd_ns, 1)));
+        let by_returns = (0..).map(f64::from).zip(self.waveforms_by_returns.drain(..));
+        cx.observe_all("returns_per_waveform", by_returns.filter(|(_, waveforms)| *waveforms > 0));
     }
 }
 
@@ -542,7 +561,7 @@ impl WaveformOutcome {
         self.refined_twice |= result.refined_twice;
     }
 
-    fn count(&self, found: &[FoundEcho], stats: &mut LineStats, cx: &mut Context) {
+    fn count(&self, found: &[FoundEcho], stats: &mut LineStats, seen: &mut SeenInLine) {
         if !self.recorded {
             return;
         }
@@ -555,7 +574,9 @@ impl WaveformOutcome {
         stats.nw_refined2x += u64::from(self.refined_twice);
         stats.nw_truncated += u64::from(has(flags::TRUNCATED));
         if self.used {
-            cx.observe("returns_per_waveform", found.len() as f64);
+            let most = found.len() + 1;
+            seen.waveforms_by_returns.resize(seen.waveforms_by_returns.len().max(most), 0);
+            seen.waveforms_by_returns[found.len()] += 1;
         }
     }
 }
