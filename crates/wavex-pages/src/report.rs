@@ -95,6 +95,8 @@ pub struct FileState {
 }
 
 impl InputEntry {
+    /// Entry of an input that has ended or was not run.
+    ///
     /// # Errors
     /// If a value cannot be represented as JSON, which is a defect.
     pub fn new(report: InputReport) -> stage::Result<InputEntry> {
