@@ -9,8 +9,8 @@
 //! outgoing pulses, two receivers and blocks of the length of their echoes, and the recording
 //! `riegl_example3` below `WAVEX_DATA`, calibration included. `-- scenes` measures these alone.
 //!
-//! Last, what stages cost besides the work that they are there for: `decompose` besides its kernels, and the readers
-//! besides a copy of what they read, per waveform, one thread. `-- stages` measures these alone.
+//! Last, the overhead of stages per waveform on one thread: time of `decompose` minus that of its kernels, and time of
+//! readers minus that of a copy of their files. `-- stages` measures these alone.
 //!
 //! The result of the mixed scene is compared with two ceilings. Each adds up the time of decomposition, of compressing
 //! the same records with the `laz` crate, and of georeferencing, divided by two cores without loss.
@@ -195,12 +195,12 @@ fn scenes(folder: &Path) {
 /// Lines of [`SHOTS_PER_LINE`] waveforms of the comparison of stages with their work.
 const STAGE_LINES: usize = 200;
 
-/// Prints what stages cost besides their work.
+/// Prints the overhead of stages.
 fn stages(folder: &Path) {
     let folder = folder.join("stages");
     fs::create_dir_all(&folder).unwrap();
-    println!("\n{:<44}{:>10}{:>10}{:>10}", "ns per waveform, one thread", "stage", "work", "besides");
-    let tell = |name: &str, stage_ns: f64, work_ns: f64| {
+    println!("\n{:<44}{:>10}{:>10}{:>10}", "ns per waveform, one thread", "stage", "work", "overhead");
+    let print_row = |name: &str, stage_ns: f64, work_ns: f64| {
         println!("{name:<44}{stage_ns:>10.0}{work_ns:>10.0}{:>10.0}", stage_ns - work_ns);
     };
     write_recording(&folder.join("flight.arrow"), STAGE_LINES, Scene::One);
@@ -217,11 +217,11 @@ fn stages(folder: &Path) {
     let load = format!("{CALIBRATE}load = 'model.json'\n");
     for (name, mode) in [("fastest", Mode::Fastest), ("refined", Mode::Refined)] {
         let stage_ns = least_working_s(&folder, &job(&load, name), "decompose") * 1e9 / waveforms;
-        tell(&format!("decompose, {name}, one echo"), stage_ns, kernels_ns(&model, Scene::One, mode));
+        print_row(&format!("decompose, {name}, one echo"), stage_ns, kernels_ns(&model, Scene::One, mode));
     }
     let bytes = fs::read(folder.join("flight.arrow")).unwrap();
     let stage_ns = least_working_s(&folder, &job(&load, "fastest"), "read_arrow") * 1e9 / waveforms;
-    tell("read_arrow, LZ4", stage_ns, copy_ns(&bytes) / waveforms);
+    print_row("read_arrow, LZ4", stage_ns, copy_ns(&bytes) / waveforms);
     let Some(data) = std::env::var_os("WAVEX_DATA") else {
         println!("skipped: WAVEX_DATA not set: no PulseWaves");
         return;
@@ -246,7 +246,7 @@ fn stages(folder: &Path) {
         );
     let [pulses, waves] = ["pls", "wvs"].map(|ending| fs::read(path.with_extension(ending)).unwrap());
     let records = pulses.len() as f64 / 48.0;
-    tell(
+    print_row(
         "read_pulsewaves, riegl_example3, per pulse",
         stage_ns,
         copy_ns(&[pulses, waves].concat()) / records,
@@ -475,7 +475,7 @@ fn mixed_scene(folder: &Path) {
     let laz_ns = compress(&records, &vlr) * 1e9 / waveforms;
     println!("{:.3} points per waveform; compressing alone {laz_ns:.0} ns per waveform", points / waveforms);
     let georeference_ns = GEOREFERENCE_NS * points / waveforms;
-    let tell = |by: &str, decompose_ns: f64| {
+    let print_ceiling = |by: &str, decompose_ns: f64| {
         let ceiling = THREADS as f64 * 1e3 / (decompose_ns + laz_ns + georeference_ns);
         println!(
             "ceiling from {by:<13} {ceiling:6.3} M waveforms/s (decomposition {decompose_ns:.0} \
@@ -484,9 +484,9 @@ fn mixed_scene(folder: &Path) {
             rate / ceiling
         );
     };
-    tell("our kernels", kernels_ns(&true_model(&noise()), Scene::Mixed, Mode::Refined));
+    print_ceiling("our kernels", kernels_ns(&true_model(&noise()), Scene::Mixed, Mode::Refined));
     match yardstick_ns() {
-        Some(decompose_ns) => tell("the yardstick", decompose_ns),
+        Some(decompose_ns) => print_ceiling("the yardstick", decompose_ns),
         None => println!("NO YARDSTICK: set WAVEX_YARDSTICK to its run script."),
     }
 }

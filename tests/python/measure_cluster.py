@@ -29,8 +29,7 @@ class LargeSurvey(Folder):
         self.strips = strips
         self.write("make.toml", MAKE.replace("lines = 6", f"lines = {lines}")
                    .replace("shots_per_line = 60", "shots_per_line = 1000"))
-        # The tables of a longer recording need more than the test's memory; the model of the survey would be made
-        # before the tasks.
+        # Longer recordings need more memory than the strips of the test.
         self.write("survey.toml", SURVEY.replace("MODEL", "survey").replace("memory_mb = 64\n", ""))
         for number in range(1, strips + 1):
             name, first = f"strip{number:04}", f"strip{(number - 1) % DIFFERENT + 1:04}"

@@ -43,7 +43,7 @@ pub struct RunReport<'r> {
     pub inputs: &'r [InputEntry],
 }
 
-/// An [`InputReport`] that is kept until the report is written, in a tenth of the memory of its values.
+/// An [`InputReport`] as text, which takes a tenth of the memory of its values. It is kept until the report is written.
 #[derive(Clone, Debug)]
 pub struct InputEntry {
     /// JSON without the sensor model.
@@ -109,12 +109,20 @@ impl InputEntry {
         Ok(InputEntry { text: values.to_string().into(), sensor_model })
     }
 
+    /// Values of the entry without its sensor model.
+    ///
+    /// # Errors
+    /// If the text is not JSON, which is a defect.
+    pub fn without_model(&self) -> serde_json::Result<Value> {
+        serde_json::from_str(&self.text)
+    }
+
     /// Values of the entry.
     ///
     /// # Errors
     /// If the sensor model cannot be represented as JSON.
     pub fn values(&self) -> serde_json::Result<Value> {
-        let mut values: Value = serde_json::from_str(&self.text)?;
+        let mut values = self.without_model()?;
         if let Some(model) = &self.sensor_model {
             values["sensor_model"] = serde_json::to_value(model.as_ref())?;
         }

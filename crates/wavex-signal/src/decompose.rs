@@ -11,7 +11,7 @@ mod scalar;
 pub mod simd;
 
 pub use scalar::Decomposer;
-pub use simd::{BatchDecomposer, Decompositions, FilterPeak, KnownTables, Mode, Tables};
+pub use simd::{BatchDecomposer, Decompositions, FilterPeak, Mode, TableCache, Tables};
 
 /// Deviation ratio above which a waveform is not explained: it is decomposed more thoroughly, and its
 /// standard deviations are raised.

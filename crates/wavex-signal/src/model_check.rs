@@ -13,7 +13,7 @@
 use wavex_simd::SimdLevel;
 
 use crate::calibrate::set_noise;
-use crate::decompose::{KnownTables, Waveform};
+use crate::decompose::{TableCache, Waveform};
 use crate::noise::fit_by_bic;
 use crate::sensor_model::{Background, ChannelModel, ModelError};
 use statistics::Statistics;
@@ -37,13 +37,13 @@ const MAX_WAVEFORMS: usize = 2000;
 /// Largest order of the noise measured.
 const MAX_AR_ORDER: usize = 4;
 
-/// What the vector kernels need.
+/// Instructions and tables of the vector kernels.
 #[derive(Debug, Clone)]
-pub struct Vectors {
+pub struct KernelContext {
     /// Instructions to use.
     pub simd: SimdLevel,
     /// Tables of equal models of other recordings.
-    pub tables: KnownTables,
+    pub tables: TableCache,
 }
 
 /// Result of a comparison.
@@ -63,7 +63,7 @@ pub struct Comparison {
 pub fn compare<'a>(
     blocks: impl Iterator<Item = Waveform<'a>> + Clone,
     model: &ChannelModel,
-    with: &Vectors,
+    with: &KernelContext,
 ) -> Result<Option<Comparison>, ModelError> {
     let waveforms = blocks.clone().count();
     if waveforms < MIN_WAVEFORMS {

@@ -61,8 +61,8 @@ pub(super) struct StoredWaves<'a> {
 }
 
 impl<'a> StoredWaves<'a> {
-    /// Starts at the first of `bytes`, `left` bytes before the end of the file: file, number of the pulse, and offset
-    /// in the file.
+    /// Starts at the first of `bytes`. The file has `left` bytes from there on; errors name the file, the number of the
+    /// pulse and the offset in the file.
     pub(super) fn new(
         bytes: &'a [u8],
         left: u64,

@@ -11,7 +11,7 @@ use crate::Result;
 /// Bytes of waves that are read first; more if they do not suffice.
 const FIRST_BYTES: u64 = 1 << 12;
 /// Bytes that suffice for all waves of a pulse: a compressed sample takes at most five.
-const MOST_COMPRESSED_BYTES: u64 = 8 * MOST_BYTES;
+const MOST_READ_BYTES: u64 = 8 * MOST_BYTES;
 /// Maximum number of segments of a pulse.
 const MOST_SEGMENTS: usize = 1 << 16;
 
@@ -131,7 +131,7 @@ impl WaveSegments {
                 None => self.read_all(StoredWaves::new(bytes, left, place), descriptor),
             };
             // Their size is not stored.
-            if !is_past_end || length >= left.min(MOST_COMPRESSED_BYTES) {
+            if !is_past_end || length >= left.min(MOST_READ_BYTES) {
                 return read;
             }
             length *= 8;

@@ -14,7 +14,8 @@ pub fn input_table(report: &RunReport) -> String {
     let width = inputs.iter().map(|input| input.stem.chars().count()).max().unwrap_or(0).max(5);
     let mut text = format!("{:width$} {:7} {:>11} {:>9} reason\n", "input", "status", "points", "time s");
     for (number, input) in inputs.iter().enumerate() {
-        let entry = report.inputs.get(number).and_then(|entry| entry.values().ok()).unwrap_or_default();
+        let entry =
+            report.inputs.get(number).and_then(|entry| entry.without_model().ok()).unwrap_or_default();
         let (points, time) = match input.status {
             InputStatus::NotRun => (String::new(), String::new()),
             _ => (points(&entry).to_string(), format!("{:.1}", entry["wall_s"].as_f64().unwrap_or(0.0))),

@@ -48,7 +48,6 @@ mod fit_queue;
 mod fitted;
 mod fourier_response;
 mod initial_guess;
-mod known_tables;
 mod layout;
 mod level;
 mod level_tables;
@@ -59,6 +58,7 @@ mod rows;
 mod score_test;
 mod single_pulse;
 mod solve;
+mod table_cache;
 mod tables;
 mod template;
 mod thresholds;
@@ -78,8 +78,8 @@ use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
 use crate::sensor_model::{ChannelModel, ModelError};
 
 pub use candidates::FilterPeak;
-pub use known_tables::KnownTables;
 pub use outcome::Decompositions;
+pub use table_cache::TableCache;
 pub use tables::Tables;
 
 use detection::Detect;

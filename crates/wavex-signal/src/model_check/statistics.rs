@@ -1,6 +1,6 @@
 //! Measurements of waveforms, as independent of the compared model as possible.
 
-use super::Vectors;
+use super::KernelContext;
 use crate::calibrate::{Narrow, NoiseStatistics, Width, noise_by_differences_dn};
 use crate::decompose::{
     BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Mode, OVERDRIVEN_PART, Return,
@@ -150,7 +150,7 @@ impl Statistics {
     pub(super) fn of(
         blocks: &[Waveform<'_>],
         model: &ChannelModel,
-        with: &Vectors,
+        with: &KernelContext,
     ) -> Result<Statistics, ModelError> {
         let differences_dn = noise_by_differences_dn(blocks.iter().copied());
         let free = with_free_background(model)?;
@@ -221,7 +221,7 @@ fn decompose(
     blocks: &[Waveform<'_>],
     model: &ChannelModel,
     settings: &DecomposeSettings,
-    with: &Vectors,
+    with: &KernelContext,
     mut take: impl FnMut(usize, &Decomposition<'_>),
 ) -> Result<(), ModelError> {
     let tables = with.tables.of(model);
@@ -345,7 +345,7 @@ fn fits(
     blocks: &[Waveform<'_>],
     singles: &[&Single],
     model: &ChannelModel,
-    with: &Vectors,
+    with: &KernelContext,
 ) -> Result<[Fits; 2], ModelError> {
     let mut by_height: Vec<&Single> = singles.to_vec();
     by_height.sort_by(|a, b| a.found.amplitude_dn.total_cmp(&b.found.amplitude_dn));

@@ -9,8 +9,8 @@ use crate::simulated::{Random, channel, digitised, noise, pulse};
 const FWHM: f64 = 4.4;
 const BACKGROUND_DN: f64 = 12.3;
 
-fn vectors() -> Vectors {
-    Vectors { simd: SimdLevel::best(), tables: KnownTables::default() }
+fn vectors() -> KernelContext {
+    KernelContext { simd: SimdLevel::best(), tables: TableCache::default() }
 }
 
 fn process() -> ArNoise {

@@ -283,7 +283,7 @@ impl Worker {
     }
 }
 
-/// Workers of ended inputs, for the next ones with the same model; clones share them.
+/// Workers of finished inputs, kept for later inputs with the same model; clones share them.
 #[derive(Clone, Default)]
 struct IdleWorkers(Arc<Mutex<Vec<Worker>>>);
 
@@ -295,7 +295,7 @@ impl IdleWorkers {
         Some(idle.swap_remove(place))
     }
 
-    /// Keeps a worker, and no other ones than those for its model.
+    /// Keeps a worker; drops those for other models.
     fn put(&self, worker: Worker) {
         let mut idle = self.0.lock().unpoisoned();
         idle.retain(|other| other.is_for(&worker.model, worker.fusion.as_ref()));

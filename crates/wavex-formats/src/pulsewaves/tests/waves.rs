@@ -30,6 +30,17 @@ fn fixed_samplings_hold_nothing_but_samples() {
 }
 
 #[test]
+fn waves_longer_than_the_first_read_are_complete() {
+    let samples: Vec<u8> = (0..50_000_u32).map(|k| (k % 251) as u8).collect();
+    let mut pair = Pair::new(&descriptor(vec![sampling(SegmentKind::Returning, 1, samples.len() as u32)]));
+    (0..2).for_each(|_| pair.add(1, &samples));
+    let (mut reader, _dir) = pair.open();
+    let expected = vec![(0, 0, 0, None, samples.iter().map(|&dn| u16::from(dn)).collect())];
+    assert_eq!(flat(&mut reader, 0), expected);
+    assert_eq!(flat(&mut reader, 1), expected);
+}
+
+#[test]
 fn counts_and_signed_durations_of_every_width_are_read() {
     let mut samplings = Vec::new();
     for (duration, segments, samples, bits) in [(8, 0, 8, 8), (16, 8, 16, 16), (32, 16, 0, 8)] {

@@ -41,7 +41,7 @@ impl StripPaths {
     /// Inputs of the survey from all entries of a report and its sensor models.
     pub fn inputs(&self, entries: &[InputEntry], models: &Value) -> Vec<SurveyInput> {
         let input = |entry: &InputEntry| {
-            let entry = &entry.values().unwrap_or_default();
+            let entry = &entry.without_model().unwrap_or_default();
             let is_done = matches!(entry["status"].as_str(), Some("done" | "skipped"));
             let mut input = SurveyInput::of_entry(entry, models);
             input.cells = is_done.then(|| self.cells(&input.stem));

@@ -9,7 +9,7 @@ use wavex_line::stage::{Output, Reason, Result, StageError};
 use wavex_signal::calibrate::receiver_limits;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::GainLevel;
-use wavex_signal::model_check::{Area, Comparison, Receiving, Running, Silence, Vectors, compare};
+use wavex_signal::model_check::{Area, Comparison, KernelContext, Receiving, Running, Silence, compare};
 use wavex_signal::sensor_model::{ChannelModel, ModelError, SensorModel};
 
 /// Number of waveforms with which a given model is compared before the first line is emitted.
@@ -128,7 +128,7 @@ impl Calibrator {
         let of_gain =
             self.look_ahead.recorded(channel).filter(move |block| GainLevel::of(block.gain) == level);
         let blocks = of_gain.map(|block| Waveform { samples: block.samples });
-        let with = Vectors { simd: self.simd, tables: self.config.shared.tables.clone() };
+        let with = KernelContext { simd: self.simd, tables: self.config.shared.tables.clone() };
         compare(blocks, &model.at_gain(level.gain())?, &with)
     }
 

@@ -7,7 +7,7 @@ use std::time::SystemTime;
 use super::{Preset, load_model};
 use wavex_line::stage::Result;
 use wavex_line::system::Unpoisoned as _;
-use wavex_signal::decompose::KnownTables;
+use wavex_signal::decompose::TableCache;
 use wavex_signal::sensor_model::SensorModel;
 
 /// Origin of a model that is not calibrated.
@@ -23,7 +23,7 @@ type Given = (Origin, Arc<SensorModel>);
 #[derive(Clone, Debug, Default)]
 pub struct SharedModel {
     given: Arc<Mutex<Option<Given>>>,
-    pub(super) tables: KnownTables,
+    pub(super) tables: TableCache,
 }
 
 impl SharedModel {
@@ -52,5 +52,31 @@ impl SharedModel {
         let model = Arc::new(make()?);
         *given = Some((origin, Arc::clone(&model)));
         Ok(model)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn changed_files_are_read_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.json");
+        let mut model = Preset::RieglLmsQ680.model().unwrap();
+        let write = |model: &SensorModel| {
+            std::fs::write(&path, serde_json::to_string(model).unwrap()).unwrap();
+        };
+        let shared = SharedModel::default();
+        write(&model);
+        let first = shared.load(&path).unwrap();
+        assert!(Arc::ptr_eq(&first, &shared.clone().load(&path).unwrap()));
+        // The file is longer now: a coarse clock does not hide the change.
+        model.low_power.as_mut().unwrap().pulse_error_factor = 1.5;
+        write(&model);
+        let again = shared.load(&path).unwrap();
+        assert_eq!(again.low_power.as_ref().unwrap().pulse_error_factor, 1.5);
+        let preset = shared.preset(Preset::RieglLmsQ680).unwrap();
+        assert!(!Arc::ptr_eq(&again, &preset));
     }
 }

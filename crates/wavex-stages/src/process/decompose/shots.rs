@@ -216,7 +216,7 @@ pub struct ShotDecomposer {
     found: Vec<FoundEcho>,
     profiles: Profiles,
     explained: FitCounts,
-    seen: SeenInLine,
+    observations: LineObservations,
     /// By shot index: whether an echo was received during the emission.
     expected: Vec<bool>,
 }
@@ -246,7 +246,7 @@ impl ShotDecomposer {
             found: Vec::new(),
             profiles: Profiles::new(model, config)?,
             explained: FitCounts::default(),
-            seen: SeenInLine::default(),
+            observations: LineObservations::default(),
             expected: Vec::new(),
         })
     }
@@ -341,7 +341,7 @@ impl ShotDecomposer {
             }
             first_block += shot.of_shot.len();
         }
-        self.seen.report(cx);
+        self.observations.report(cx);
         Ok(())
     }
 
@@ -362,7 +362,7 @@ impl ShotDecomposer {
             outgoing.unwrap_or_else(|| shot.anchored_departure(&self.found, self.emission_jitter_ns, cx));
         departure.sd_ns = departure.sd_ns.hypot(shot.input.emission_choice_sd_ns);
         if outgoing.is_some() && departure.sd_ns > 0.0 {
-            self.seen.emission_sds_ns.push(departure.sd_ns);
+            self.observations.emission_sds_ns.push(departure.sd_ns);
         }
         if let Some(emission) = line.emissions.get_mut(shot.index as usize) {
             (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
@@ -518,20 +518,20 @@ impl ShotDecomposer {
             self.found.iter_mut().for_each(|found| both.align(found));
             both.fuse(shot, &mut self.found, stats)?;
         }
-        waveform.count(&self.found, stats, &mut self.seen);
+        waveform.count(&self.found, stats, &mut self.observations);
         Ok(())
     }
 }
 
 /// Quantities of the shots of a line, which the report gets at once.
 #[derive(Default)]
-struct SeenInLine {
+struct LineObservations {
     emission_sds_ns: Vec<f64>,
     /// Waveforms by their number of returns.
     waveforms_by_returns: Vec<u64>,
 }
 
-impl SeenInLine {
+impl LineObservations {
     fn report(&mut self, cx: &mut Context) {
         cx.observe_all("emission_sd_ns", self.emission_sds_ns.drain(..).map(|sd_ns| (sd_ns, 1)));
         let by_returns = (0..).map(f64::from).zip(self.waveforms_by_returns.drain(..));
@@ -561,7 +561,7 @@ impl WaveformOutcome {
         self.refined_twice |= result.refined_twice;
     }
 
-    fn count(&self, found: &[FoundEcho], stats: &mut LineStats, seen: &mut SeenInLine) {
+    fn count(&self, found: &[FoundEcho], stats: &mut LineStats, observations: &mut LineObservations) {
         if !self.recorded {
             return;
         }
@@ -575,8 +575,8 @@ impl WaveformOutcome {
         stats.nw_truncated += u64::from(has(flags::TRUNCATED));
         if self.used {
             let most = found.len() + 1;
-            seen.waveforms_by_returns.resize(seen.waveforms_by_returns.len().max(most), 0);
-            seen.waveforms_by_returns[found.len()] += 1;
+            observations.waveforms_by_returns.resize(observations.waveforms_by_returns.len().max(most), 0);
+            observations.waveforms_by_returns[found.len()] += 1;
         }
     }
 }

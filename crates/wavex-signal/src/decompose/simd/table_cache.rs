@@ -1,4 +1,4 @@
-//! Tables of models that are used again.
+//! Tables of recently used models.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,9 +13,9 @@ type Known = (ChannelModel, Option<Arc<Tables>>);
 
 /// Tables of the models used last; clones share them.
 #[derive(Clone, Default)]
-pub struct KnownTables(Arc<Mutex<Vec<Known>>>);
+pub struct TableCache(Arc<Mutex<Vec<Known>>>);
 
-impl KnownTables {
+impl TableCache {
     /// [`Tables::new`] of this model or of an equal one.
     pub fn of(&self, model: &ChannelModel) -> Option<Arc<Tables>> {
         let known = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -33,9 +33,9 @@ impl KnownTables {
     }
 }
 
-impl fmt::Debug for KnownTables {
+impl fmt::Debug for TableCache {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("KnownTables")
+        f.write_str("TableCache")
     }
 }
 
@@ -48,7 +48,7 @@ mod tests {
     #[test]
     fn equal_models_share_tables_and_others_do_not() {
         let model = |noise_sd_dn| channel(&ArNoise::new(&[], noise_sd_dn).unwrap(), 4.0, 5.0);
-        let known = KnownTables::default();
+        let known = TableCache::default();
         let first = known.of(&model(0.7)).unwrap();
         assert!(Arc::ptr_eq(&first, &known.clone().of(&model(0.7)).unwrap()));
         assert!(!Arc::ptr_eq(&first, &known.of(&model(0.8)).unwrap()));
