@@ -9,8 +9,11 @@
 //! outgoing pulses, two receivers and blocks of the length of their echoes, and the recording
 //! `riegl_example3` below `WAVEX_DATA`, calibration included. `-- scenes` measures these alone.
 //!
-//! Last, the overhead of stages per waveform on one thread: time of `decompose` minus that of its kernels, and time of
-//! readers minus that of a copy of their files. `-- stages` measures these alone.
+//! `-- stages`: the overhead of stages per waveform on one thread: time of `decompose` minus that of its kernels, and
+//! time of readers minus that of a copy of their files.
+//!
+//! `-- calibrations`: the time of `calibrate` for recordings of 2000 to 200 000 waveforms. Without these words all parts
+//! are measured; `-- mixed` measures the mixed scene alone.
 //!
 //! The result of the mixed scene is compared with two ceilings. Each adds up the time of decomposition, of compressing
 //! the same records with the `laz` crate, and of georeferencing, divided by two cores without loss.
@@ -193,7 +196,7 @@ fn scenes(folder: &Path) {
 }
 
 /// Lines of [`SHOTS_PER_LINE`] waveforms of the comparison of stages with their work.
-const STAGE_LINES: usize = 200;
+const STAGE_LINES: usize = 1000;
 
 /// Prints the overhead of stages.
 fn stages(folder: &Path) {
@@ -217,7 +220,10 @@ fn stages(folder: &Path) {
     let load = format!("{CALIBRATE}load = 'model.json'\n");
     for (name, mode) in [("fastest", Mode::Fastest), ("refined", Mode::Refined)] {
         let stage_ns = least_working_s(&folder, &job(&load, name), "decompose") * 1e9 / waveforms;
-        print_row(&format!("decompose, {name}, one echo"), stage_ns, kernels_ns(&model, Scene::One, mode));
+        let kernels_ns = kernels_ns(&model, Scene::One, mode);
+        print_row(&format!("decompose, {name}, one echo"), stage_ns, kernels_ns);
+        let ran = run(&folder, &job(&load, name));
+        print_row(&format!("whole run, {name}, processor time"), ran.cpu_s * 1e9 / waveforms, kernels_ns);
     }
     let bytes = fs::read(folder.join("flight.arrow")).unwrap();
     let stage_ns = least_working_s(&folder, &job(&load, "fastest"), "read_arrow") * 1e9 / waveforms;
@@ -251,6 +257,33 @@ fn stages(folder: &Path) {
         stage_ns,
         copy_ns(&[pulses, waves].concat()) / records,
     );
+}
+
+/// Prints the time of `calibrate` for recordings of different length.
+fn calibrations(folder: &Path) {
+    let folder = folder.join("calibrations");
+    fs::create_dir_all(&folder).unwrap();
+    println!(
+        "\n{:<14}{:>11}{:>15}{:>20}{:>21}",
+        "scene", "waveforms", "calibrate, ms", "us per waveform", "times `decompose`"
+    );
+    let job = "[job]\nthreads = 1\n[[stage]]\ntype = 'read_arrow'\npath = 'flight.arrow'\n\
+               [[stage]]\ntype = 'calibrate'\n[[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'write_lstat'\n";
+    for (name, scene) in [("one echo", Scene::One), ("mixed", Scene::Mixed), ("close echoes", Scene::Close)] {
+        for lines in [2, 20, 200] {
+            write_recording(&folder.join("flight.arrow"), lines, scene);
+            let [calibrate_s, decompose_s] =
+                ["calibrate", "decompose"].map(|stage| least_working_s(&folder, job, stage));
+            let waveforms = lines * SHOTS_PER_LINE;
+            println!(
+                "{name:<14}{waveforms:>11}{:>15.0}{:>20.1}{:>21.1}",
+                1e3 * calibrate_s,
+                1e6 * calibrate_s / waveforms as f64,
+                calibrate_s / decompose_s
+            );
+        }
+    }
 }
 
 /// Least working time of a stage in several runs, s.
@@ -425,15 +458,12 @@ fn kernels_ns(model: &ChannelModel, scene: Scene, mode: Mode) -> f64 {
 
 fn main() {
     let folder = std::env::temp_dir().join(format!("wavex-bench-chain-{}", std::process::id()));
-    let only = |part: &str| std::env::args().any(|argument| argument == part);
-    if !only("scenes") && !only("stages") {
-        mixed_scene(&folder);
-    }
-    if !only("stages") {
-        scenes(&folder);
-    }
-    if !only("scenes") {
-        stages(&folder);
+    let parts: [(&str, fn(&Path)); 4] =
+        [("mixed", mixed_scene), ("scenes", scenes), ("stages", stages), ("calibrations", calibrations)];
+    let is_asked = |part: &str| std::env::args().any(|argument| argument == part);
+    let asks = parts.iter().any(|(part, _)| is_asked(part));
+    for (_, measure) in parts.iter().filter(|(part, _)| !asks || is_asked(part)) {
+        measure(&folder);
     }
     // A failure to remove the temporary folder is harmless.
     if std::env::var_os("WAVEX_BENCH_KEEP").is_none() {

@@ -13,6 +13,8 @@ use wavex_signal::shape::Shape;
 /// Samples per block.
 pub const SAMPLES: usize = 60;
 const BACKGROUND_DN: f64 = 20.3;
+/// Distance of the pulses of [`Scene::Long`], samples.
+const LONG_SPACING: usize = 4000;
 
 /// SplitMix64 and Box-Muller: identical waveforms in every run.
 pub struct Random(u64);
@@ -132,6 +134,8 @@ pub enum Scene {
     ///
     /// They are 10 to 70 standard deviations of the noise high; 40 % are widened by up to 40 %.
     Close,
+    /// One pulse of calibrated width in every 4000 samples of a block of this length.
+    Long(usize),
 }
 
 /// Returns the channel as it is when recording: its response differs from the calibrated one of [`model`].
@@ -177,6 +181,7 @@ impl Waveforms {
         let length = match scene {
             Scene::Echoes(_) => 120,
             Scene::Close => 140,
+            Scene::Long(samples) => *samples,
             Scene::Forest => 60 + 20 * (10.0 * random.uniform()) as usize,
             _ => SAMPLES,
         };
@@ -195,6 +200,7 @@ impl Waveforms {
             Scene::Echoes(count) => *count,
             Scene::Forest => (1 + (7.0 * random.uniform()) as usize).min(1 + (length - 40) / 14),
             Scene::Close => 1 + (7.0 * random.uniform()) as usize,
+            Scene::Long(samples) => samples.div_ceil(LONG_SPACING),
             Scene::Mixed => [0.15, 0.70, 0.90].iter().filter(|&&limit| kind >= limit).count(),
         };
         let heights_dn = match scene {
@@ -221,6 +227,7 @@ impl Waveforms {
             place += match scene {
                 Scene::Two => 7.0 + 6.0 * random.uniform(),
                 Scene::Echoes(_) => 5.0 + 7.0 * random.uniform(),
+                Scene::Long(_) => LONG_SPACING as f64,
                 _ => 3.0 + 17.0 * random.uniform(),
             };
         }

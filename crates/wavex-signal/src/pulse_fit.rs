@@ -11,7 +11,9 @@
 
 mod problem;
 
-use wavex_simd::dot::dot;
+use std::ops::Range;
+
+use wavex_simd::dot::{AT_A_TIME, dot};
 
 use crate::cholesky;
 use crate::levenberg_marquardt::{self, Rules, Termination};
@@ -101,6 +103,10 @@ pub(crate) struct PulseFit {
     trial_residual: Vec<f64>,
     /// Whitened derivatives, in consecutive columns of block length.
     columns: Vec<f64>,
+    /// By column, the samples outside of which it is zero.
+    supports: Vec<Range<usize>>,
+    /// Length of a column.
+    column_length: usize,
     normal: Vec<f64>,
     damped: Vec<f64>,
     gradient: Vec<f64>,
@@ -133,6 +139,8 @@ impl PulseFit {
             residual: Vec::with_capacity(max_samples),
             trial_residual: Vec::with_capacity(max_samples),
             columns: Vec::with_capacity(max_samples * parameters),
+            supports: Vec::with_capacity(parameters),
+            column_length: 0,
             normal: vec![0.0; parameters * parameters],
             damped: vec![0.0; parameters * parameters],
             gradient: vec![0.0; parameters],
@@ -222,8 +230,15 @@ impl PulseFit {
         self.residual.resize(samples, 0.0);
         self.trial_residual.clear();
         self.trial_residual.resize(samples, 0.0);
-        self.columns.clear();
-        self.columns.resize(samples * parameters, 0.0);
+        if samples != self.column_length {
+            self.columns.clear();
+            self.supports.clear();
+            self.column_length = samples;
+        }
+        if parameters > self.supports.len() {
+            self.columns.resize(samples * parameters, 0.0);
+            self.supports.resize(parameters, 0..0);
+        }
         self.covariance.fill(f64::NAN);
         self.trial.clear();
         self.trial.extend_from_slice(&self.pulses);
@@ -282,20 +297,27 @@ impl PulseFit {
     /// Computes the whitened derivatives at the current point in `self.columns`.
     fn form_columns(&mut self, whitener: &Whitener) {
         let samples = self.residual.len();
-        self.columns.fill(0.0);
-        let mut columns = self.columns.chunks_exact_mut(samples.max(1));
+        let mut columns = self.columns.chunks_exact_mut(samples.max(1)).zip(&mut self.supports);
+        let mut cleared = || {
+            columns.next().map(|(column, support)| {
+                column[support.clone()].fill(0.0);
+                (column, support)
+            })
+        };
         for pulse in &self.pulses {
-            let parts = [columns.next(), columns.next(), columns.next()];
-            let [Some(by_height), Some(by_position), Some(by_width)] = parts else { return };
-            let first =
-                self.shape.add_derivatives(pulse, [&mut *by_height, &mut *by_position, &mut *by_width]);
-            for column in [by_height, by_position, by_width] {
-                whitener.whiten_from(first, column);
+            let [Some(by_height), Some(by_position), Some(by_width)] = [(); 3].map(|()| cleared()) else {
+                return;
+            };
+            let parts = [&mut *by_height.0, &mut *by_position.0, &mut *by_width.0];
+            let changed = self.shape.add_derivatives(pulse, parts);
+            for (column, support) in [by_height, by_position, by_width] {
+                *support = changed.start..whitener.whiten_part(changed.clone(), column);
             }
         }
-        if let (Some(_), Some(by_offset)) = (self.offset_precision, columns.next()) {
+        if let (Some(_), Some((by_offset, support))) = (self.offset_precision, cleared()) {
             by_offset.fill(1.0);
             whitener.whiten(by_offset);
+            *support = 0..samples;
         }
     }
 
@@ -304,9 +326,13 @@ impl PulseFit {
         self.form_columns(whitener);
         let samples = self.residual.len();
         let n = self.parameters();
-        let column = |i: usize| &self.columns[i * samples..(i + 1) * samples];
         for i in 0..n {
-            self.gradient[i] = dot(column(i), &self.residual);
+            // Products of zeros add nothing. Sums are of groups of samples, so groups stay whole.
+            let support = &self.supports[i];
+            let start = support.start - support.start % AT_A_TIME;
+            let end = support.end.next_multiple_of(AT_A_TIME).min(samples);
+            let column = |j: usize| &self.columns[j * samples..][start..end];
+            self.gradient[i] = dot(column(i), &self.residual[start..end]);
             for j in 0..=i {
                 self.normal[i * n + j] = dot(column(i), column(j));
             }

@@ -3,6 +3,7 @@
 mod pulse;
 pub(crate) mod templates;
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::sensor_model::response::{self, STEPS_PER_SAMPLE, SystemResponse};
@@ -120,18 +121,19 @@ impl Shape {
     /// Adds the derivatives of the pulse by height, position and log width to columns of block
     /// length.
     ///
-    /// Returns the first sample that can differ from zero.
-    pub(crate) fn add_derivatives(&self, pulse: &Pulse, columns: [&mut [f64]; 3]) -> usize {
+    /// Returns the samples that can differ from zero.
+    pub(crate) fn add_derivatives(&self, pulse: &Pulse, columns: [&mut [f64]; 3]) -> Range<usize> {
         let [by_height, by_position, by_width] = columns;
-        let mut first = usize::MAX;
+        let mut changed = 0..0;
         for (lane, pulse) in self.lanes(pulse).into_iter().flatten() {
             let columns = [&mut *by_height, &mut *by_position, &mut *by_width];
-            first = first.min(match &self.family {
+            let by_lane = match &self.family {
                 Family::Gaussian { fwhm_samples } => pulse.add_derivatives_to(*fwhm_samples, lane, columns),
                 Family::Response(response) => response.add_derivatives(&pulse, lane, columns),
-            });
+            };
+            changed = union(changed, by_lane);
         }
-        first
+        changed
     }
 
     /// The pulse relative to the samples of each lane: delayed samples see it earlier.
@@ -160,7 +162,7 @@ impl ResponseShape {
         (above - 1, above, (height_dn - low) / (high - low))
     }
 
-    fn add_derivatives(&self, pulse: &Pulse, lane: Lane, columns: [&mut [f64]; 3]) -> usize {
+    fn add_derivatives(&self, pulse: &Pulse, lane: Lane, columns: [&mut [f64]; 3]) -> Range<usize> {
         let [by_height, by_position, by_width] = columns;
         let height_dn = pulse.height_dn;
         let parts = [
@@ -168,41 +170,55 @@ impl ResponseShape {
             (TemplatePart::ByTime, -height_dn),
             (TemplatePart::ByLnWidth, height_dn),
         ];
-        self.add(parts, pulse, lane, [&mut *by_height, by_position, by_width]);
-        self.add_change_with_height(pulse, lane, by_height);
-        0
+        let changed = self.add(parts, pulse, lane, [&mut *by_height, by_position, by_width]);
+        union(changed, self.add_change_with_height(pulse, lane, by_height))
     }
 
-    /// Adds parts of the pulse, each with its factor.
+    /// Adds parts of the pulse, each with its factor; returns the samples that can change.
     fn add<const T: usize>(
         &self,
         parts: [(TemplatePart, f64); T],
         pulse: &Pulse,
         lane: Lane,
         mut values: [&mut [f64]; T],
-    ) {
+    ) -> Range<usize> {
         let (low, high, share) = self.around(pulse.height_dn);
+        let mut changed = 0..0;
         for (node, weight) in [(low, 1.0 - share), (high, share)] {
             if weight > 0.0 {
                 let parts = parts.map(|(part, factor)| (part, weight * factor));
                 let values = values.each_mut().map(|values| &mut **values);
-                self.nodes[node].1.add(parts, pulse.position_samples, pulse.ln_width_ratio, lane, values);
+                let (place, width) = (pulse.position_samples, pulse.ln_width_ratio);
+                changed = union(changed, self.nodes[node].1.add(parts, place, width, lane, values));
             }
         }
+        changed
     }
 
-    /// Adds the change of shape with height to the height derivative.
-    fn add_change_with_height(&self, pulse: &Pulse, lane: Lane, by_height: &mut [f64]) {
+    /// Adds the change of shape with height to the height derivative; returns the samples that can change.
+    fn add_change_with_height(&self, pulse: &Pulse, lane: Lane, by_height: &mut [f64]) -> Range<usize> {
         let (low, high, _) = self.around(pulse.height_dn);
+        let mut changed = 0..0;
         if low == high {
-            return;
+            return changed;
         }
         let per_dn = pulse.height_dn / (self.nodes[high].0 - self.nodes[low].0);
         for (node, factor) in [(low, -per_dn), (high, per_dn)] {
             let table = &self.nodes[node].1;
             let (place, width) = (pulse.position_samples, pulse.ln_width_ratio);
-            table.add([(TemplatePart::Value, factor)], place, width, lane, [&mut *by_height]);
+            let by_node = table.add([(TemplatePart::Value, factor)], place, width, lane, [&mut *by_height]);
+            changed = union(changed, by_node);
         }
+        changed
+    }
+}
+
+/// Smallest range that contains two; empty ones do not count.
+fn union(a: Range<usize>, b: Range<usize>) -> Range<usize> {
+    match (a.is_empty(), b.is_empty()) {
+        (true, _) => b,
+        (_, true) => a,
+        _ => a.start.min(b.start)..a.end.max(b.end),
     }
 }
 

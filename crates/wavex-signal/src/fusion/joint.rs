@@ -9,6 +9,8 @@
 
 mod minimise;
 
+use wavex_simd::dot::dot;
+
 use crate::cholesky;
 use crate::decompose::OVERDRIVEN_PART;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
@@ -250,7 +252,7 @@ impl JointFit {
         (0..self.pulses.len()).for_each(|i| self.shape.add(&self.pulse(i), -1.0, &mut residual));
         self.whitener.whiten(&mut residual);
         self.residual = residual;
-        self.residual.iter().map(|r| r * r).sum()
+        dot(&self.residual, &self.residual)
     }
 
     /// Prior part of the objective.

@@ -1,5 +1,7 @@
 //! One pulse: its parameters, and its values as a Gaussian.
 
+use std::ops::Range;
+
 /// `4 ln 2`: a Gaussian of full width `W` at half maximum is `exp(-4 ln 2 (x/W)²)`.
 pub(crate) const FOUR_LN_2: f64 = 2.772_588_722_239_781;
 /// Half extent of a pulse, in widths.
@@ -65,13 +67,13 @@ impl Pulse {
     /// Writes the Gaussian's derivatives by height, position and log width to columns of block
     /// length.
     ///
-    /// Returns the first sample that can differ from zero.
+    /// Returns the samples that can differ from zero.
     pub(crate) fn add_derivatives_to(
         &self,
         fwhm_samples: f64,
         lane: Lane,
         columns: [&mut [f64]; 3],
-    ) -> usize {
+    ) -> Range<usize> {
         let [by_height, by_position, by_width] = columns;
         let width = fwhm_samples * self.ln_width_ratio.exp();
         let (first, end) = support(self.position_samples, width, by_height.len());
@@ -83,7 +85,7 @@ impl Pulse {
             by_position[k] = slope / width;
             by_width[k] = slope * x;
         }
-        first
+        first..end.max(first)
     }
 }
 

@@ -7,13 +7,14 @@
 //! interpolation is bicubic Hermite: values, slopes and mixed slope are exact at the nodes, and
 //! value and slopes are continuous everywhere, as the minimisation requires.
 
+use std::ops::Range;
 use std::sync::OnceLock;
 
 use wavex_simd::dot::{ROWS, add_rows};
 
 use crate::fourier::{ByPhase, Complex, Synthesis};
 use crate::sensor_model::response::{STEPS_PER_SAMPLE, bins, spectrum};
-use crate::shape::Lane;
+use crate::shape::{Lane, union};
 
 /// Step of the table in log width.
 const LN_WIDTH_STEP: f64 = 0.05;
@@ -100,7 +101,8 @@ impl Templates {
 
     /// Adds to each of `values`, samples of a block, a part of the shape times its factor.
     ///
-    /// The peak is at `position_samples`; only samples of the lane are changed.
+    /// The peak is at `position_samples`; only samples of the lane are changed. Returns the range of the
+    /// changed samples.
     pub(crate) fn add<const T: usize>(
         &self,
         parts: [(TemplatePart, f64); T],
@@ -108,7 +110,7 @@ impl Templates {
         ln_width_ratio: f64,
         lane: Lane,
         mut values: [&mut [f64]; T],
-    ) {
+    ) -> Range<usize> {
         let [low, high] = LN_WIDTH_RANGE;
         let at = (ln_width_ratio.clamp(low, high) - low) / LN_WIDTH_STEP;
         let index = (at.floor() as usize).min(self.knots.len() - 2);
@@ -118,6 +120,7 @@ impl Templates {
         let phase = (steps.floor() as usize).min(STEPS_PER_SAMPLE - 1);
         let by_time = Hermite::new(steps - phase as f64, 1.0 / STEPS_PER_SAMPLE as f64);
         let samples = values.iter().map(|values| values.len()).min().unwrap_or(0);
+        let mut changed = 0..0;
         for (j, knot) in [self.knot(index), self.knot(index + 1)].into_iter().enumerate() {
             // Sample k of the block is sample k + whole of the row, counted from the peak.
             let offset = whole as i64 - knot.first;
@@ -130,7 +133,9 @@ impl Templates {
             let rows = std::array::from_fn(|r| &knot.row(phase + r / CHANNELS, r % CHANNELS)[skipped..]);
             let weights = parts.map(|(part, factor)| weights(part, factor, &by_time, &by_width, j));
             accumulate(targets, rows, &weights, lane.step());
+            changed = union(changed, begin..samples.min(begin + knot.length - skipped));
         }
+        changed
     }
 }
 

@@ -8,7 +8,7 @@ use super::fit_queue::{add, take_off};
 use super::fitted::FittedPulse;
 use super::initial_guess::{ClearForStep, FromBank, OneStep};
 use super::level::{SetLevels, widen};
-use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseModel};
+use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseComponent, PulseModel};
 use super::rows::FAST_BATCH;
 use super::single_pulse::FitSingles;
 use super::workspace::{ChiSquares, Decompose, DetectionBuffers, FitBuffers, Workspace};
@@ -43,13 +43,15 @@ impl Decompose<'_> {
             Mode::Refined => {
                 self.set_all_due();
                 self.fit_clusters(1);
-                // Repeated on the residuals of the fitted neighbours.
-                self.keep_due(2);
-                self.fit_clusters(1);
                 // Repeated if the new positions and widths result in other clusters than those
-                // fitted.
-                self.keep_due(MAX_PULSES + 1);
-                self.fit_clusters(1);
+                // fitted, or a fit has no optimum. Other clusters need no second fit: a pulse
+                // reaches only the clusters after it, which were fitted after it. A level reaches
+                // all of them.
+                let level = self.tables.level.is_some();
+                for clusters in [if level { 2 } else { MAX_PULSES + 1 }, MAX_PULSES + 1] {
+                    self.keep_due(clusters);
+                    self.fit_clusters(1);
+                }
             }
         }
         if self.tables.level.is_some() {
@@ -154,7 +156,7 @@ impl Decompose<'_> {
         self.keep_due(1);
     }
 
-    /// Keeps the due waveforms with enough clusters or with changed clusters.
+    /// Keeps the due waveforms with enough clusters, changed clusters, or a pulse that is not fitted.
     ///
     /// `clusters` is the required number of clusters.
     fn keep_due(&mut self, clusters: usize) {
@@ -164,7 +166,8 @@ impl Decompose<'_> {
             let pulse_model = &mut pulse_models[row];
             pulse_model.sort();
             let others = pulse_model.set_clusters(fwhm);
-            pulse_model.is_fast() && (others || pulse_model.cluster(clusters - 1).is_some())
+            let is_open = !pulse_model.pulses().iter().all(PulseComponent::is_fitted);
+            pulse_model.is_fast() && (others || is_open || pulse_model.cluster(clusters - 1).is_some())
         });
     }
 

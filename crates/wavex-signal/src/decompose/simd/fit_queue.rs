@@ -333,7 +333,7 @@ pub(super) fn add(on: Processor, tables: &Tables, rows: &mut Rows, row: usize, v
     on.run(Add { tables, rows, row, values, sign });
 }
 
-/// Subtracts the fitted pulses from their rows.
+/// Subtracts the fitted pulses from their rows; those of dropped fits stay.
 pub(super) fn take_off(on: Processor, tables: &Tables, rows: &mut Rows, done: &Results) {
     on.run(TakeOff { tables, rows, done });
 }
@@ -350,7 +350,7 @@ impl Kernel for TakeOff<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let TakeOff { tables, rows, done } = self;
-        for of_job in &done.list {
+        for of_job in done.list.iter().filter(|of_job| !of_job.is_dropped) {
             for pulse in done.pulses(of_job) {
                 add_pulse(s, tables, rows, of_job.row, pulse.values, -1.0);
             }

@@ -177,10 +177,13 @@ impl Finish<'_> {
         is_better
     }
 
-    /// Whether the pulse is fitted, and its row holds enough of it.
+    /// Whether the pulse is fitted, and its row holds enough of it or the waveform is explained.
     #[inline(always)]
-    fn is_determined(&self, pulse: &PulseComponent) -> bool {
-        pulse.is_fitted() && (!self.is_refined || self.thresholds.is_held(pulse))
+    fn is_determined(&self, pulse_model: &PulseModel, pulse: &PulseComponent, samples: usize) -> bool {
+        pulse.is_fitted()
+            && (!self.is_refined
+                || self.thresholds.is_held(pulse)
+                || self.thresholds.outcome(pulse_model, samples).deviation_ratio() <= DEVIANT)
     }
 
     /// Whether all pulses are acceptable as returns and sufficiently separated.
@@ -190,7 +193,9 @@ impl Finish<'_> {
         pulse_model.pulses().iter().all(|pulse| {
             let is_apart = pulse.position() - before >= self.thresholds.least_separation;
             before = pulse.position();
-            is_apart && self.is_determined(pulse) && self.thresholds.is_return(pulse_model, pulse, samples)
+            is_apart
+                && self.is_determined(pulse_model, pulse, samples)
+                && self.thresholds.is_return(pulse_model, pulse, samples)
         })
     }
 
@@ -199,7 +204,7 @@ impl Finish<'_> {
     /// Returns `false` if the scalar kernels must decompose the waveform.
     #[inline(never)]
     fn drop(&mut self, pulse_model: &mut PulseModel, samples: usize) -> bool {
-        if self.is_refined || !pulse_model.pulses().iter().all(|pulse| self.is_determined(pulse)) {
+        if self.is_refined || !pulse_model.pulses().iter().all(PulseComponent::is_fitted) {
             return false;
         }
         let least = self.thresholds.least_separation;

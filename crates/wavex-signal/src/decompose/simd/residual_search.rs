@@ -33,21 +33,17 @@ impl Decompose<'_> {
         if self.mode != Mode::Refined || self.settings.max_added == 0 {
             return;
         }
-        let Workspace { pulse_models, search: SearchBuffers { active, rivals, .. }, .. } = &mut *self.work;
+        let Workspace { pulse_models, search: SearchBuffers { active, rivals, wide, .. }, .. } =
+            &mut *self.work;
         active.clear();
         rivals.clear();
         rivals.resize(pulse_models.len(), f32::INFINITY);
-        let waveforms = pulse_models.iter_mut().zip(rivals);
-        for ((pulse_model, rival), block) in waveforms.zip(self.blocks) {
+        wide.clear();
+        for (row, (pulse_model, rival)) in pulse_models.iter().zip(rivals).enumerate() {
             if pulse_model.is_fast() && is_cut_short(pulse_model) {
                 match least_beyond(pulse_model) {
                     Some(least) => *rival = least,
-                    // Near a good fit, only the scalar form can evaluate pulses of any width.
-                    None => {
-                        let pulses = pulse_model.pulses().iter().map(|p| p.values().map(f64::from));
-                        let of_wide = self.plain.chi_square_of(block.samples, pulses);
-                        pulse_model.chi_square = pulse_model.chi_square.min(of_wide as f32);
-                    }
+                    None => wide.push((row, *pulse_model)),
                 }
             }
         }
@@ -73,12 +69,33 @@ impl Decompose<'_> {
             }
             self.end_round();
         }
+        self.compare_with_wide();
         let Workspace { pulse_models, search, .. } = &mut *self.work;
         for &row in &search.active {
             pulse_models[row].leave_to_scalar();
         }
         for (pulse_model, &rival) in pulse_models.iter_mut().zip(&search.rivals) {
             if pulse_model.is_fast() && (is_cut_short(pulse_model) || may_be_wider(pulse_model, rival)) {
+                pulse_model.leave_to_scalar();
+            }
+        }
+    }
+
+    /// Passes waveforms to the scalar kernels that pulses wider than the tables explain as well as
+    /// those that replaced them.
+    ///
+    /// Only the scalar form can evaluate pulses of any width.
+    fn compare_with_wide(&mut self) {
+        let Workspace { pulse_models, search, .. } = &mut *self.work;
+        for (row, before) in &search.wide {
+            let pulse_model = &mut pulse_models[*row];
+            if !pulse_model.is_fast() || is_cut_short(pulse_model) || is_resolved(pulse_model) {
+                continue;
+            }
+            let pulses = before.pulses().iter().map(|p| p.values().map(f64::from));
+            let of_wide = self.plain.chi_square_of(self.blocks[*row].samples, pulses);
+            let gain = self.settings.split_evidence.unwrap_or(0.0);
+            if f64::from(pulse_model.chi_square) > of_wide - gain {
                 pulse_model.leave_to_scalar();
             }
         }
@@ -243,7 +260,7 @@ impl Decompose<'_> {
         // An apparent split due to an error of the response is not evidence.
         let raise = self.thresholds.raise(&pulse_model, position, f32::INFINITY);
         let gain = (evidence * raise * raise) as f32;
-        let trial = Trial::near(row, &pulse_model, position, self.fwhm(), gain);
+        let trial = Trial::around(row, &pulse_model, number, self.fwhm(), gain);
         for part in parts {
             self.plan(trial, &pulse_model, Change::Divide(number, part));
         }
@@ -278,22 +295,22 @@ impl Decompose<'_> {
     fn run_trials(&mut self) {
         let batch = self.work.rows.batch();
         let count = self.work.search.trials.len();
-        for first in (0..count).step_by(batch) {
-            self.fit_trials(first..(first + batch).min(count));
-        }
         let mut first = 0;
         while first < count {
             let trials = &self.work.search.trials;
-            let row = trials[first].row;
-            let mut best = first;
-            let mut end = first;
-            while end < count && trials[end].row == row {
-                if trials[end].objective < trials[best].objective {
-                    best = end;
-                }
-                end += 1;
+            let mut end = (first + batch).min(count);
+            // The trials of a waveform are judged together, while they have their rows.
+            while end < count && end > first + 1 && trials[end].row == trials[end - 1].row {
+                end -= 1;
             }
-            self.judge(first..end, best);
+            self.fit_trials(first..end);
+            let mut start = first;
+            while start < end {
+                let trials = &self.work.search.trials[start..end];
+                let of_waveform = trials.iter().take_while(|trial| trial.row == trials[0].row).count();
+                self.judge(start..start + of_waveform, first);
+                start += of_waveform;
+            }
             first = end;
         }
         self.work.search.trials.clear();
@@ -302,26 +319,25 @@ impl Decompose<'_> {
     /// Accepts the best of a waveform's trials.
     ///
     /// If none is acceptable, but one without an optimum might be, the scalar kernels decompose the
-    /// waveform unless it is explained.
-    fn judge(&mut self, trials: Range<usize>, best: usize) {
-        let trial = self.work.search.trials[best];
-        let pulse_model = &self.work.pulse_models[trial.row];
+    /// waveform unless it is explained. `first` is the trial whose row is the first after the batch.
+    fn judge(&mut self, trials: Range<usize>, first: usize) {
+        let all = &self.work.search.trials;
+        let row = all[trials.start].row;
+        let pulse_model = &self.work.pulse_models[row];
         if !pulse_model.is_fast() {
             return;
         }
-        let gained = |trial: &Trial| pulse_model.chi_square - trial.chi_square - trial.gain;
-        let is_open = |trial: &Trial| !trial.has_ended && !trial.is_dropped;
-        if trial.objective.is_finite() && gained(&trial) >= 0.0 {
-            self.take_up(&trial);
-            return;
-        }
-        let open = self.work.search.trials[trials].iter().filter(|trial| is_open(trial));
-        let Some(best) = open.min_by(|a, b| a.chi_square.total_cmp(&b.chi_square)).copied() else { return };
-        if gained(&best) >= 0.0 {
-            // A further pulse may give it an optimum.
-            self.take_up(&best);
-        } else if gained(&best) > -OPEN_GAIN {
-            self.work.pulse_models[trial.row].set_undecided();
+        let gained = |i: usize| pulse_model.chi_square - all[i].chi_square - all[i].gain;
+        let ended = trials.clone().filter(|&i| all[i].objective.is_finite());
+        let best = ended.min_by(|&i, &j| all[i].objective.total_cmp(&all[j].objective));
+        let open = trials.filter(|&i| !all[i].has_ended && !all[i].is_dropped);
+        let open = open.min_by(|&i, &j| all[i].chi_square.total_cmp(&all[j].chi_square));
+        // A further pulse may give an optimum to a trial without one.
+        let accepted = best.filter(|&i| gained(i) >= 0.0).or(open.filter(|&i| gained(i) >= 0.0));
+        if let Some(accepted) = accepted {
+            self.take_up(&all[accepted].clone(), BATCH + accepted - first);
+        } else if open.is_some_and(|open| gained(open) > -OPEN_GAIN) {
+            self.work.pulse_models[row].set_undecided();
         }
     }
 
@@ -393,7 +409,10 @@ impl Decompose<'_> {
         }
     }
 
-    fn take_up(&mut self, trial: &Trial) {
+    /// Replaces the pulses of a waveform by those of a trial.
+    ///
+    /// `residual` is the row of the trial.
+    fn take_up(&mut self, trial: &Trial, residual: usize) {
         let work = &mut *self.work;
         let pulse_model = &mut work.pulse_models[trial.row];
         let before = *pulse_model;
@@ -413,12 +432,7 @@ impl Decompose<'_> {
             let fitted = trial.old.0..trial.old.0 + trial.count;
             pulse_model.pulses_mut()[fitted].iter_mut().for_each(|pulse| pulse.sds = [0.0; 3]);
         }
-        for pulse in &before.pulses()[trial.old()] {
-            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), 1.0);
-        }
-        for pulse in trial.pulses() {
-            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), -1.0);
-        }
+        work.rows.copy(residual, trial.row);
         // What pulses wider than the tables could reach, with as many other pulses.
         let replaces_wide = before.pulses()[trial.old()].iter().any(is_widest);
         let decrease = pulse_model.chi_square - trial.chi_square;
@@ -437,9 +451,13 @@ fn is_cut_short(pulse_model: &PulseModel) -> bool {
 /// Whether pulses wider than the tables might explain the waveform better than those that replaced
 /// them: `rival` is the least chi-square they could reach.
 fn may_be_wider(pulse_model: &PulseModel, rival: f32) -> bool {
-    let is_resolved = pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
-        && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO);
-    pulse_model.chi_square > rival && !is_resolved
+    pulse_model.chi_square > rival && !is_resolved(pulse_model)
+}
+
+/// Whether the pulses fit well and cannot be parts of one wider than the tables.
+fn is_resolved(pulse_model: &PulseModel) -> bool {
+    pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
+        && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO)
 }
 
 fn is_widest(pulse: &PulseComponent) -> bool {

@@ -36,7 +36,25 @@ impl Trial {
         gain: f32,
     ) -> Trial {
         let whole = pulse_model.cluster_around(position, fwhm_samples);
-        let old = part_of(pulse_model, whole, position);
+        Trial::replacing(row, part_of(pulse_model, whole, position, |_| true), gain)
+    }
+
+    /// Creates a trial that replaces a pulse and its neighbours if chi-square decreases by `gain`.
+    pub(super) fn around(
+        row: usize,
+        pulse_model: &PulseModel,
+        number: usize,
+        fwhm_samples: f32,
+        gain: f32,
+    ) -> Trial {
+        let position = pulse_model.pulses()[number].position();
+        let whole = pulse_model.cluster_around(position, fwhm_samples);
+        // Several pulses can be at one place, such as the end of the block.
+        let old = part_of(pulse_model, whole, position, |pair| pair.contains(&number));
+        Trial::replacing(row, old, gain)
+    }
+
+    fn replacing(row: usize, old: Range<usize>, gain: f32) -> Trial {
         Trial {
             row,
             old: (old.start, old.end),
@@ -83,17 +101,22 @@ pub(super) enum Change {
 
 /// Returns the cluster, or two pulses of one that is too large for a trial.
 ///
-/// The two are the neighbours nearest to `position`.
-fn part_of(pulse_model: &PulseModel, cluster: Range<usize>, position: f32) -> Range<usize> {
+/// The two are the neighbours nearest to `position` among those accepted by `is_candidate`.
+fn part_of(
+    pulse_model: &PulseModel,
+    cluster: Range<usize>,
+    position: f32,
+    is_candidate: impl Fn(&Range<usize>) -> bool,
+) -> Range<usize> {
     if cluster.len() < MAX_TRIAL {
         return cluster;
     }
-    let distance = |i: &usize| {
-        let pulses = &pulse_model.pulses()[*i..*i + 2];
+    let distance = |pair: &Range<usize>| {
+        let pulses = &pulse_model.pulses()[pair.clone()];
         pulses.iter().map(|p| (p.position() - position).abs()).sum::<f32>()
     };
-    let start = (cluster.start..cluster.end - 1).min_by(|i, j| distance(i).total_cmp(&distance(j)));
-    start.map_or(cluster, |start| start..start + 2)
+    let pairs = (cluster.start..cluster.end - 1).map(|start| start..start + 2).filter(is_candidate);
+    pairs.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(cluster)
 }
 
 /// Splits a widened pulse into two of the calibrated width with its first moments.
@@ -106,4 +129,22 @@ pub(super) fn divided(pulse: &PulseComponent, part: f32, fwhm_samples: f32) -> [
     let flags = pulse.flags | flags::SPLIT;
     let of = |part: f32, position: f32| PulseComponent::new([part * energy, position, 0.0]).flagged(flags);
     [of(part, centre - (1.0 - part) * separation), of(1.0 - part, centre + part * separation)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pulse_is_divided_among_others_at_its_place() {
+        let mut pulse_model = PulseModel::default();
+        pulse_model.reset();
+        for place in [20.0, 20.0, 20.0, 22.0] {
+            assert!(pulse_model.push(PulseComponent::new([10.0, place, 0.0])));
+        }
+        for number in 0..4 {
+            let trial = Trial::around(0, &pulse_model, number, 4.0, 1.0);
+            assert!(trial.old().contains(&number), "{number} is not in {:?}", trial.old());
+        }
+    }
 }

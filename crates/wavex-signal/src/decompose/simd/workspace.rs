@@ -61,6 +61,8 @@ pub(super) struct SearchBuffers {
     /// By waveform, least chi-square of its pulses before the residual search, had the tables wider
     /// ones.
     pub(super) rivals: Vec<f32>,
+    /// Waveforms with pulses as wide as the tables and perhaps a good fit, before the residual search.
+    pub(super) wide: Vec<(usize, PulseModel)>,
     pub(super) trials: Vec<Trial>,
     /// Levels of trials, DN, and the information on them absorbed by the pulses, 1/DN².
     pub(super) levels: Vec<[f32; 2]>,
@@ -108,6 +110,7 @@ impl Workspace {
             search: SearchBuffers {
                 active: Vec::with_capacity(BATCH),
                 rivals: Vec::with_capacity(BATCH),
+                wide: Vec::new(),
                 trials: Vec::with_capacity(BATCH),
                 levels: Vec::with_capacity(BATCH),
                 suspects: Vec::with_capacity(BATCH),

@@ -1,5 +1,7 @@
 //! Linearisation and steps of the joint fit.
 
+use wavex_simd::dot::dot;
+
 use super::{JointFit, PARTS};
 use crate::cholesky;
 use crate::levenberg_marquardt::{LeastSquares, Rules};
@@ -55,7 +57,6 @@ impl LeastSquares for JointFit {
         self.gradient.clear();
         self.gradient.resize(n, 0.0);
         let column = |i: usize| &self.columns[i * m..(i + 1) * m];
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         for i in 0..n {
             self.gradient[i] = weight * dot(column(i), &self.residual);
             for j in 0..=i {

@@ -20,6 +20,8 @@ use wavex_signal::shape::Shape;
 use wavex_signal::simulated;
 use wavex_simd::SimdLevel;
 
+mod special;
+
 use wavex_testkit::clock::cpu_s;
 use wavex_testkit::waveforms::{Random, SAMPLES, Scene, Waveforms, model, recording_model};
 
@@ -510,6 +512,14 @@ fn median(mut values: Vec<f64>) -> (f64, String) {
     (values[values.len() / 2], range)
 }
 
+/// Prints the rows of special waveforms, unless another row is asked for.
+fn special_rows(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
+    let only = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    if only.is_none_or(|only| only == "special") {
+        special::rows(path, model, noise, tables);
+    }
+}
+
 /// Compares a figure with its goal.
 fn verdict(figure: f64, goal: f64) -> &'static str {
     if figure >= goal { "reached" } else { "MISSED" }
@@ -595,6 +605,7 @@ fn main() {
         close_echoes(path, &model, &noise, &tables, &yards);
         if path == SimdLevel::best() {
             profiles(&model, &noise);
+            special_rows(path, &model, &noise, &tables);
         }
         report(&rounds, if has_yardstick { &yards } else { &[] });
     }
