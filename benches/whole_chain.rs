@@ -6,8 +6,8 @@
 //! stages. `-- 10000000` sets the number of waveforms (default three million).
 //!
 //! Then it does the same with what is recorded in the field: a forest and a city by `simulate`, with
-//! outgoing pulses, two receivers and blocks of the length of their echoes, and the recording
-//! `riegl_example3` below `WAVEX_DATA`, calibration included. `-- scenes` measures these alone.
+//! outgoing pulses, two receivers and blocks of the length of their echoes, one to seven close echoes, and the
+//! recording `riegl_example3` below `WAVEX_DATA`, calibration included. `-- scenes` measures these alone.
 //!
 //! `-- stages`: the overhead of stages per waveform on one thread: time of `decompose` minus that of its kernels, and
 //! time of readers minus that of a copy of their files.
@@ -157,7 +157,17 @@ fn job(calibrate: &str) -> String {
     )
 }
 
-/// Runs the scenes of `simulate` and the real recording.
+/// Lines of [`SHOTS_PER_LINE`] waveforms of close echoes.
+const CLOSE_LINES: usize = 100;
+
+/// Measures a recording with and without calibration.
+fn scene(name: &str, folder: &Path) {
+    let first = run(folder, &job(&format!("{CALIBRATE}save = '*_model.json'\n")));
+    let saved = run(folder, &job(&format!("{CALIBRATE}load = 'flight_model.json'\n")));
+    print_scene(name, folder, Some(&saved), &first);
+}
+
+/// Runs the scenes of `simulate`, close echoes, and the real recording.
 fn scenes(folder: &Path) {
     println!(
         "\n{:<16}{:>14}{:>14}{:>12}{:>16}",
@@ -171,10 +181,13 @@ fn scenes(folder: &Path) {
              high_power = true\nsbet = '*.out'\n{keys}\n[[stage]]\ntype = 'write_arrow'\npath = '*.arrow'\n"
         );
         run(&folder, &recording);
-        let first = run(&folder, &job(&format!("{CALIBRATE}save = '*_model.json'\n")));
-        let saved = run(&folder, &job(&format!("{CALIBRATE}load = 'flight_model.json'\n")));
-        print_scene(name, &folder, Some(&saved), &first);
+        scene(name, &folder);
     }
+    let close = folder.join("close echoes");
+    fs::create_dir_all(&close).unwrap();
+    write_recording(&close.join("flight.arrow"), CLOSE_LINES, Scene::Close);
+    write_trajectory(&close.join("flight.out"), (CLOSE_LINES * SHOTS_PER_LINE) as f64 / PULSE_RATE_HZ);
+    scene("close echoes", &close);
     let Some(data) = std::env::var_os("WAVEX_DATA") else {
         println!("skipped: WAVEX_DATA not set: no real recording");
         return;
@@ -456,9 +469,12 @@ fn kernels_ns(model: &ChannelModel, scene: Scene, mode: Mode) -> f64 {
     (0..9).map(|_| run()).fold(f64::INFINITY, f64::min)
 }
 
+/// Measures and prints a part of the bench in a folder.
+type Measure = fn(&Path);
+
 fn main() {
     let folder = std::env::temp_dir().join(format!("wavex-bench-chain-{}", std::process::id()));
-    let parts: [(&str, fn(&Path)); 4] =
+    let parts: [(&str, Measure); 4] =
         [("mixed", mixed_scene), ("scenes", scenes), ("stages", stages), ("calibrations", calibrations)];
     let is_asked = |part: &str| std::env::args().any(|argument| argument == part);
     let asks = parts.iter().any(|(part, _)| is_asked(part));
@@ -484,13 +500,15 @@ fn mixed_scene(folder: &Path) {
         ran.push(run(&folder, &job(&format!("{CALIBRATE}save = '*_model.json'\n"))));
     }
     let whole = folder.join("whole");
-    let loaded = run(&whole, &job(&format!("{CALIBRATE}load = 'flight_model.json'\n")));
+    let with_model = job(&format!("{CALIBRATE}load = 'flight_model.json'\n"));
+    let [tenth, loaded] = ["tenth", "whole"].map(|name| run(&folder.join(name), &with_model));
     let waveforms = (lines * SHOTS_PER_LINE) as f64;
     println!("{}", loaded.said);
     println!("{waveforms} waveforms, {THREADS} threads");
     println!("with calibration         {:6.3} M waveforms/s", waveforms / ran[1].seconds * 1e-6);
     let rate = waveforms / loaded.seconds * 1e-6;
-    println!("with the saved model     {rate:6.3} M waveforms/s");
+    let of_tenth = waveforms / 10.0 / tenth.seconds * 1e-6;
+    println!("with the saved model     {rate:6.3} M waveforms/s; a tenth of the waveforms {of_tenth:.3}");
     println!(
         "cores kept busy          {:6.2} of {THREADS}, goal {GOAL_BUSY}; {:.2} us of processor time per waveform",
         loaded.cpu_s / loaded.seconds,

@@ -172,7 +172,11 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
         shared_inputs,
         output_patterns,
         calibration,
-        collect: estimator.collect(tasks.len(), options.align.is_some()),
+        collect: estimator.collect(
+            tasks.len(),
+            options.align.is_some(),
+            !job.settings.survey_page.is_empty(),
+        ),
         tasks,
     };
     write("tasks.tsv", &table(&plan))?;

@@ -51,10 +51,11 @@ impl<'a> Departures<'a> {
         };
         let (from_ps, to_ps) = (clock_at(from_ns), clock_at(to_ns));
         let first = partition_near(self.emissions, self.index, |emission| emission.clock_ps < from_ps);
-        let end = partition_near(self.emissions, first, |emission| emission.clock_ps <= to_ps);
-        let others = (first..).zip(self.emissions.get(first..end).unwrap_or_default());
+        let after = (first..).zip(self.emissions.get(first..).unwrap_or_default());
         // Shots with the same clock are indistinguishable: the time resolution is too low.
-        others.filter(|(_, emission)| emission.clock_ps != self.clock_ps)
+        after
+            .take_while(move |(_, emission)| emission.clock_ps <= to_ps)
+            .filter(|(_, emission)| emission.clock_ps != self.clock_ps)
     }
 
     /// Flags the echoes `found[first..]` of a block for emissions of other shots.
