@@ -12,7 +12,7 @@
 //! `-- stages`: the overhead of stages per waveform on one thread: time of `decompose` minus that of its kernels, and
 //! time of readers minus that of a copy of their files.
 //!
-//! `-- calibrations`: the time of `calibrate` for recordings of 2000 to 200 000 waveforms. Without these words all parts
+//! `-- calibrations`: the time of `calibrate` for recordings of 4000 to 400 000 waveforms. Without these words all parts
 //! are measured; `-- mixed` measures the mixed scene alone.
 //!
 //! The result of the mixed scene is compared with two ceilings. Each adds up the time of decomposition, of compressing
@@ -507,7 +507,7 @@ fn mixed_scene(folder: &Path) {
     println!("{waveforms} waveforms, {THREADS} threads");
     println!("with calibration         {:6.3} M waveforms/s", waveforms / ran[1].seconds * 1e-6);
     let rate = waveforms / loaded.seconds * 1e-6;
-    let of_tenth = waveforms / 10.0 / tenth.seconds * 1e-6;
+    let of_tenth = (lines / 10 * SHOTS_PER_LINE) as f64 / tenth.seconds * 1e-6;
     println!("with the saved model     {rate:6.3} M waveforms/s; a tenth of the waveforms {of_tenth:.3}");
     println!(
         "cores kept busy          {:6.2} of {THREADS}, goal {GOAL_BUSY}; {:.2} us of processor time per waveform",

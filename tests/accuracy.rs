@@ -124,6 +124,27 @@ fn calibration_finds_the_instrument() {
     assert_eq!(found.nodes.len(), 1, "a receiver that does not compress has one response");
 }
 
+/// Pulses wider than the tables of the vector kernels are not divided: several narrower ones fit almost as well.
+#[test]
+fn wide_echoes_stay_single() {
+    const COUNT: usize = 1000;
+    let mut instrument = instrument(12);
+    let mut decomposer = decomposer(DecomposeSettings::default());
+    for width in [2.5, 2.8, 3.5, 5.0] {
+        for snr in [30.0, 100.0] {
+            let divided = (0..COUNT)
+                .filter(|_| {
+                    let echo = instrument.echo(snr, width);
+                    let samples = instrument.record(&[echo], EIGHT_BITS);
+                    decomposer.decompose(&samples).0.len() > 1
+                })
+                .count();
+            println!("SNR {snr} width {width}: {divided} of {COUNT} divided (goal 2)");
+            assert!(divided <= 2, "SNR {snr} width {width}: {divided}");
+        }
+    }
+}
+
 /// A1 to A4, and coverage: isolated returns reach the Cramér-Rao bound, are unbiased, and have
 /// correct uncertainties.
 #[test]

@@ -20,10 +20,10 @@ use wavex_signal::shape::Shape;
 use wavex_signal::simulated;
 use wavex_simd::SimdLevel;
 
-mod special;
-
 use wavex_testkit::clock::cpu_s;
 use wavex_testkit::waveforms::{Random, SAMPLES, Scene, Waveforms, model, recording_model};
+
+mod special;
 
 const WAVEFORMS: usize = 20_000;
 /// Waveforms per call, as `decompose` gets them from the engine.

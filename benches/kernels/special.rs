@@ -18,19 +18,19 @@ const JOINT_WAVEFORMS: usize = 1000;
 const OTHER: [(f64, f64); 3] = [(0.02, 1e-3), (0.1, 0.01), (0.01, 1e-3)];
 
 /// Prints all rows.
-pub fn rows(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
-    long_blocks(path, model, noise, tables);
-    late_odd_samples(path, model, noise, tables);
+pub fn rows(simd: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
+    long_blocks(simd, model, noise, tables);
+    late_odd_samples(simd, model, noise, tables);
     two_receivers(model, noise);
 }
 
 /// Time per sample of blocks with an echo every 4000 samples.
-fn long_blocks(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
+fn long_blocks(simd: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
     for samples in [1024, 4096, 16_384, 65_535] {
         let mut block = Vec::new();
         let echoes = Waveforms::new(model, noise, Scene::Long(samples), 7).next(&mut block).len();
         let (rate, outcomes, _) =
-            measured(model, tables, Mode::Refined, false, path, &[Waveform { samples: &block }]);
+            measured(model, tables, Mode::Refined, false, simd, &[Waveform { samples: &block }]);
         // `measured` counts the waveforms of a scene, and there is one.
         let spent_us = WAVEFORMS as f64 / rate.best;
         println!(
@@ -43,17 +43,17 @@ fn long_blocks(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &
 }
 
 /// Rate with odd samples a fifth of an interval late, relative to samples on time.
-fn late_odd_samples(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
+fn late_odd_samples(simd: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
     let late =
         ChannelModel { digitiser: Digitiser { odd_sample_shift: 0.2, ..model.digitiser }, ..model.clone() };
     let of_late = Arc::new(Tables::new(&late).expect("tables"));
     let [on_time, late] = [(model, tables), (&late, &of_late)].map(|(model, tables)| {
         let (samples, _) = waveforms(model, noise, Scene::Mixed, 9);
-        let (rate, _, left) = measured(model, tables, Mode::Refined, false, path, &blocks(&samples, ALIKE));
+        let (rate, _, left) = measured(model, tables, Mode::Refined, false, simd, &blocks(&samples, ALIKE));
         (rate.best, left)
     });
     println!(
-        "late odd samples, refined: {:.2} M waveforms per core-second, {:.2} of samples on time; left to scalar kernels {:.2} %",
+        "late odd samples, refined: {:.2} M waveforms per core-second, {:.2} times the rate of samples on time; left to scalar kernels {:.2} %",
         late.0,
         late.0 / on_time.0,
         100.0 * late.1

@@ -31,7 +31,8 @@ class LargeSurvey(Folder):
         # Longer recordings need more memory than the strips of the test.
         self.write("survey.toml", SURVEY.replace("MODEL", "survey").replace("memory_mb = 64\n", ""))
         for number in range(1, strips + 1):
-            keys = {"stem": f"strip{number:04}", "seed": number, "track_offset_m": f"[{SPACING_M * (number - strips / 2)}, 0.0]"}
+            right_m = SPACING_M * (number - strips / 2)
+            keys = {"stem": f"strip{number:04}", "seed": number, "track_offset_m": f"[{right_m}, 0.0]"}
             self.wavex("run", "make.toml", *(f"--set=simulate.{key}={value}" for key, value in keys.items()))
 
     def run_long(self, command, more=""):

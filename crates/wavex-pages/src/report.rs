@@ -43,7 +43,9 @@ pub struct RunReport<'r> {
     pub inputs: &'r [InputEntry],
 }
 
-/// An [`InputReport`] as text, which takes a tenth of the memory of its values. It is kept until the report is written.
+/// An [`InputReport`] as JSON text.
+///
+/// Text takes a tenth of the memory of the values; it is kept until the report is written.
 #[derive(Clone, Debug)]
 pub struct InputEntry {
     /// JSON without the sensor model.

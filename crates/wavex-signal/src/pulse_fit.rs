@@ -103,7 +103,7 @@ pub(crate) struct PulseFit {
     trial_residual: Vec<f64>,
     /// Whitened derivatives, in consecutive columns of block length.
     columns: Vec<f64>,
-    /// By column, the samples outside of which it is zero.
+    /// Sample range of each column outside which it is zero.
     supports: Vec<Range<usize>>,
     /// Length of a column.
     column_length: usize,
@@ -298,14 +298,15 @@ impl PulseFit {
     fn form_columns(&mut self, whitener: &Whitener) {
         let samples = self.residual.len();
         let mut columns = self.columns.chunks_exact_mut(samples.max(1)).zip(&mut self.supports);
-        let mut cleared = || {
+        let mut next_cleared = || {
             columns.next().map(|(column, support)| {
                 column[support.clone()].fill(0.0);
                 (column, support)
             })
         };
         for pulse in &self.pulses {
-            let [Some(by_height), Some(by_position), Some(by_width)] = [(); 3].map(|()| cleared()) else {
+            let [Some(by_height), Some(by_position), Some(by_width)] = [(); 3].map(|()| next_cleared())
+            else {
                 return;
             };
             let parts = [&mut *by_height.0, &mut *by_position.0, &mut *by_width.0];
@@ -314,7 +315,7 @@ impl PulseFit {
                 *support = changed.start..whitener.whiten_part(changed.clone(), column);
             }
         }
-        if let (Some(_), Some((by_offset, support))) = (self.offset_precision, cleared()) {
+        if let (Some(_), Some((by_offset, support))) = (self.offset_precision, next_cleared()) {
             by_offset.fill(1.0);
             whitener.whiten(by_offset);
             *support = 0..samples;
@@ -327,7 +328,7 @@ impl PulseFit {
         let samples = self.residual.len();
         let n = self.parameters();
         for i in 0..n {
-            // Products of zeros add nothing. Sums are of groups of samples, so groups stay whole.
+            // Columns are zero outside their support. Whole groups of samples keep the order of summation.
             let support = &self.supports[i];
             let start = support.start - support.start % AT_A_TIME;
             let end = support.end.next_multiple_of(AT_A_TIME).min(samples);

@@ -95,7 +95,7 @@ impl Whitener {
 
     /// As [`Whitener::whiten_from`] for values that are zero outside of `part`.
     ///
-    /// Returns the index from which on they are zero afterwards; they stay zero before `part`.
+    /// Returns the index after the last value that can differ from zero; values before `part` stay zero.
     pub(crate) fn whiten_part(&self, part: Range<usize>, values: &mut [f64]) -> usize {
         match self.states {
             1 => self.filter::<1>(part, values),

@@ -7,8 +7,10 @@ use serde::{Deserialize, Serialize};
 const BASE_MEMORY_MB: u64 = 500;
 /// Memory of a shared file such as a trajectory per byte of the file.
 const SHARED_BYTES_FACTOR: u64 = 3;
-/// Memory of a strip in the rasters and reports of a survey page, MB: 0.2 km² in squares of 1 m take 4 MB.
-const SURVEYED_MB: u64 = 5;
+/// Memory of a strip in the reports of a survey page, MB.
+const SURVEY_PAGE_MB_PER_STRIP: u64 = 1;
+/// Memory of the rasters of a survey page per byte of the inputs, at one shot in 2 m²; fewer with more shots.
+const RASTER_BYTES_FACTOR: f64 = 0.5;
 /// Memory of an alignment with the most patches, MB; each strip beyond may add 1 MB.
 const MOST_PATCHES_MB: u64 = 1500;
 /// Factor on the expected time, for slow machines and disks.
@@ -59,12 +61,14 @@ impl Estimator {
 
     /// Resources of the task that collects the results of this many tasks.
     ///
-    /// An alignment holds patches of all tasks, up to a limit, and the trajectories. With a survey page the
-    /// rasters of all strips are in memory.
-    pub(super) fn collect(&self, tasks: usize, aligns: bool, surveys: bool) -> Estimate {
+    /// An alignment holds patches of all tasks, up to a limit, and the trajectories. A survey page of inputs of
+    /// `survey_page_bytes` holds the rasters of all strips.
+    pub(super) fn collect(&self, tasks: usize, aligns: bool, survey_page_bytes: Option<u64>) -> Estimate {
         let tasks = tasks as u64;
-        let of_survey_mb = if surveys { SURVEYED_MB * tasks } else { 0 };
-        let memory_mb = 500 + tasks / 2 + of_survey_mb;
+        let page_mb = survey_page_bytes.map_or(0, |bytes| {
+            SURVEY_PAGE_MB_PER_STRIP * tasks + (RASTER_BYTES_FACTOR * bytes as f64 / 1e6).ceil() as u64
+        });
+        let memory_mb = 500 + tasks / 2 + page_mb;
         let collects = Estimate { cores: 1, memory_mb, minutes: 5 + tasks / 500 };
         if !aligns {
             return collects;
@@ -89,10 +93,11 @@ mod tests {
         let with_trajectory = Estimator { shared_bytes: 100_000_000, ..estimator };
         assert_eq!(with_trajectory.task(0), Estimate { memory_mb: 1824, ..small });
         let collected = Estimate { cores: 1, memory_mb: 5500, minutes: 25 };
-        assert_eq!(with_trajectory.collect(10_000, false, false), collected);
+        assert_eq!(with_trajectory.collect(10_000, false, None), collected);
         let aligned = Estimate { memory_mb: 17_300, minutes: 530, ..collected };
-        assert_eq!(with_trajectory.collect(10_000, true, false), aligned);
-        assert_eq!(estimator.collect(12, true, false).memory_mb, 500 + 6 + 240);
-        assert_eq!(estimator.collect(300, false, true).memory_mb, 500 + 150 + 1500);
+        assert_eq!(with_trajectory.collect(10_000, true, None), aligned);
+        assert_eq!(estimator.collect(12, true, None).memory_mb, 500 + 6 + 240);
+        let page = estimator.collect(300, false, Some(3_600_000_000));
+        assert_eq!(page.memory_mb, 500 + 150 + 300 + 1800);
     }
 }

@@ -136,20 +136,21 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     for source in &resolved.sources {
         *tasks_of_file.entry(&source.path).or_default() += 1;
     }
-    let mut tasks = Vec::new();
+    let (mut tasks, mut input_bytes) = (Vec::new(), 0);
     for (number, (source, files)) in (1..).zip(resolved.sources.iter().zip(&own_files)) {
         let name = &source.stem;
         write(&format!("tasks/{name}.toml"), &writer.text(number, source, &root)?)?;
         let inputs: Vec<PlannedFile> =
             files.iter().map(|path| planned_file(&root, path)).collect::<Result<_>>()?;
+        let bytes = inputs.iter().map(|file| file.bytes).sum::<u64>() / tasks_of_file[&source.path];
+        input_bytes += bytes;
         tasks.push(Task {
             name: name.clone(),
             job: in_folder(&plan_dir, &format!("tasks/{name}.toml")),
             outputs: output_patterns.iter().map(|pattern| pattern.replace('*', name)).collect(),
             report: in_folder(&plan_dir, &format!("reports/{name}_report.json")),
             log: in_folder(&plan_dir, &format!("logs/{name}.log")),
-            estimate: estimator
-                .task(inputs.iter().map(|file| file.bytes).sum::<u64>() / tasks_of_file[&source.path]),
+            estimate: estimator.task(bytes),
             inputs,
         });
     }
@@ -175,7 +176,7 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
         collect: estimator.collect(
             tasks.len(),
             options.align.is_some(),
-            !job.settings.survey_page.is_empty(),
+            (!job.settings.survey_page.is_empty()).then_some(input_bytes),
         ),
         tasks,
     };

@@ -238,3 +238,29 @@ fn no_pulse_is_a_fit_of_the_background_alone() {
     assert_eq!((outcome.parameters, outcome.samples), (0, 60));
     assert!(outcome.chi_square > 10.0 && outcome.termination.is_optimum());
 }
+
+#[test]
+fn a_workspace_fits_as_a_new_one() {
+    let (used, three) = scene();
+    let whitener = whitener(&used);
+    let one = vec![pulse(60.0, 45.0, 1.0)];
+    let elsewhere = vec![pulse(50.0, 8.0, 1.5), pulse(70.0, 35.0, 1.0), pulse(20.0, 50.0, 0.9)];
+    for offset_precision in [None, Some(0.1)] {
+        let workspace = || PulseFit::new(FWHM, offset_precision, 60, 3);
+        let mut used_again = workspace();
+        for pulses in [&three, &one, &elsewhere] {
+            let target_dn = model(pulses, 0.5, 60);
+            let start: Vec<Pulse> =
+                pulses.iter().map(|p| Pulse { height_dn: 0.9 * p.height_dn, ..*p }).collect();
+            let fitted = |fit: &mut PulseFit| {
+                let result = fit.fit(&whitener, &target_dn, &start, StopCriteria::exact(20));
+                let covariances: Vec<f64> = (0..10)
+                    .flat_map(|i| (0..10).map(move |j| (i, j)))
+                    .map(|(i, j)| fit.covariance(i, j))
+                    .collect();
+                format!("{result:?} {:?} {covariances:?}", fit.pulses())
+            };
+            assert_eq!(fitted(&mut used_again), fitted(&mut workspace()), "{offset_precision:?}");
+        }
+    }
+}

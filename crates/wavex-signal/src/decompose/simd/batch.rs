@@ -43,13 +43,11 @@ impl Decompose<'_> {
             Mode::Refined => {
                 self.set_all_due();
                 self.fit_clusters(1);
-                // Repeated if the new positions and widths result in other clusters than those
-                // fitted, or a fit has no optimum. Other clusters need no second fit: a pulse
-                // reaches only the clusters after it, which were fitted after it. A level reaches
-                // all of them.
-                let level = self.tables.level.is_some();
-                for clusters in [if level { 2 } else { MAX_PULSES + 1 }, MAX_PULSES + 1] {
-                    self.keep_due(clusters);
+                // Fitted again if positions or widths changed the clusters, or a fit has no optimum.
+                // Unchanged clusters need no second fit: a pulse affects only later clusters, which were
+                // fitted after it. A level affects all clusters, so they are fitted twice.
+                for enough in [self.tables.level.as_ref().map(|_| 2), None] {
+                    self.keep_due(enough);
                     self.fit_clusters(1);
                 }
             }
@@ -104,7 +102,7 @@ impl Decompose<'_> {
             if moved.is_empty() || round + 1 == LEVEL_ROUNDS {
                 return;
             }
-            self.keep_due(1);
+            self.keep_due(Some(1));
             let Workspace { pulse_models, which, fits, .. } = &mut *self.work;
             which.clone_from(&fits.due);
             which.iter().for_each(|&row| pulse_models[row].reopen());
@@ -153,13 +151,11 @@ impl Decompose<'_> {
         let Workspace { pulse_models, fits: FitBuffers { due, .. }, .. } = &mut *self.work;
         due.clear();
         due.extend((0..pulse_models.len()).filter(|&row| pulse_models[row].needs_fit()));
-        self.keep_due(1);
+        self.keep_due(Some(1));
     }
 
-    /// Keeps the due waveforms with enough clusters, changed clusters, or a pulse that is not fitted.
-    ///
-    /// `clusters` is the required number of clusters.
-    fn keep_due(&mut self, clusters: usize) {
+    /// Keeps the due waveforms with changed clusters, a pulse that is not fitted, or `enough` clusters.
+    fn keep_due(&mut self, enough: Option<usize>) {
         let fwhm = self.fwhm();
         let Workspace { pulse_models, fits, .. } = &mut *self.work;
         fits.due.retain(|&row| {
@@ -167,7 +163,8 @@ impl Decompose<'_> {
             pulse_model.sort();
             let others = pulse_model.set_clusters(fwhm);
             let is_open = !pulse_model.pulses().iter().all(PulseComponent::is_fitted);
-            pulse_model.is_fast() && (others || is_open || pulse_model.cluster(clusters - 1).is_some())
+            let has_enough = enough.is_some_and(|clusters| pulse_model.cluster(clusters - 1).is_some());
+            pulse_model.is_fast() && (others || is_open || has_enough)
         });
     }
 

@@ -81,20 +81,21 @@ impl Decompose<'_> {
         }
     }
 
-    /// Passes waveforms to the scalar kernels that pulses wider than the tables explain as well as
-    /// those that replaced them.
+    /// Passes a waveform to the scalar kernels if pulses wider than the tables fit it about as well as those that
+    /// replaced them: each added pulse must lower chi-square by `split_evidence`.
     ///
     /// Only the scalar form can evaluate pulses of any width.
     fn compare_with_wide(&mut self) {
         let Workspace { pulse_models, search, .. } = &mut *self.work;
         for (row, before) in &search.wide {
             let pulse_model = &mut pulse_models[*row];
-            if !pulse_model.is_fast() || is_cut_short(pulse_model) || is_resolved(pulse_model) {
+            if !pulse_model.is_fast() || is_cut_short(pulse_model) {
                 continue;
             }
             let pulses = before.pulses().iter().map(|p| p.values().map(f64::from));
             let of_wide = self.plain.chi_square_of(self.blocks[*row].samples, pulses);
-            let gain = self.settings.split_evidence.unwrap_or(0.0);
+            let added = pulse_model.pulses().len().saturating_sub(before.pulses().len());
+            let gain = self.settings.split_evidence.unwrap_or(0.0) * added as f64;
             if f64::from(pulse_model.chi_square) > of_wide - gain {
                 pulse_model.leave_to_scalar();
             }
@@ -299,7 +300,7 @@ impl Decompose<'_> {
         while first < count {
             let trials = &self.work.search.trials;
             let mut end = (first + batch).min(count);
-            // The trials of a waveform are judged together, while they have their rows.
+            // All trials of a waveform are in one group: the next group overwrites their rows.
             while end < count && end > first + 1 && trials[end].row == trials[end - 1].row {
                 end -= 1;
             }
@@ -319,7 +320,7 @@ impl Decompose<'_> {
     /// Accepts the best of a waveform's trials.
     ///
     /// If none is acceptable, but one without an optimum might be, the scalar kernels decompose the
-    /// waveform unless it is explained. `first` is the trial whose row is the first after the batch.
+    /// waveform unless it is explained. Trial `i` has row `BATCH + i - first`.
     fn judge(&mut self, trials: Range<usize>, first: usize) {
         let all = &self.work.search.trials;
         let row = all[trials.start].row;
@@ -335,7 +336,8 @@ impl Decompose<'_> {
         // A further pulse may give an optimum to a trial without one.
         let accepted = best.filter(|&i| gained(i) >= 0.0).or(open.filter(|&i| gained(i) >= 0.0));
         if let Some(accepted) = accepted {
-            self.take_up(&all[accepted].clone(), BATCH + accepted - first);
+            let trial = all[accepted];
+            self.take_up(&trial, BATCH + accepted - first);
         } else if open.is_some_and(|open| gained(open) > -OPEN_GAIN) {
             self.work.pulse_models[row].set_undecided();
         }

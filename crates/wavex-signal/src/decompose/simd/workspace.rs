@@ -61,7 +61,8 @@ pub(super) struct SearchBuffers {
     /// By waveform, least chi-square of its pulses before the residual search, had the tables wider
     /// ones.
     pub(super) rivals: Vec<f32>,
-    /// Waveforms with pulses as wide as the tables and perhaps a good fit, before the residual search.
+    /// Row and pulse model, before the residual search, of waveforms with a pulse at the width limit and perhaps
+    /// a good fit.
     pub(super) wide: Vec<(usize, PulseModel)>,
     pub(super) trials: Vec<Trial>,
     /// Levels of trials, DN, and the information on them absorbed by the pulses, 1/DN².
