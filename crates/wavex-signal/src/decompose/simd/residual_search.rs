@@ -453,13 +453,9 @@ fn is_cut_short(pulse_model: &PulseModel) -> bool {
 /// Whether pulses wider than the tables might explain the waveform better than those that replaced
 /// them: `rival` is the least chi-square they could reach.
 fn may_be_wider(pulse_model: &PulseModel, rival: f32) -> bool {
-    pulse_model.chi_square > rival && !is_resolved(pulse_model)
-}
-
-/// Whether the pulses fit well and cannot be parts of one wider than the tables.
-fn is_resolved(pulse_model: &PulseModel) -> bool {
-    pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
-        && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO)
+    let is_resolved = pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
+        && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO);
+    pulse_model.chi_square > rival && !is_resolved
 }
 
 fn is_widest(pulse: &PulseComponent) -> bool {
