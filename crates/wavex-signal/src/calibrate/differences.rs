@@ -48,8 +48,14 @@ struct Differences {
 impl Differences {
     /// Adds the differences of samples of which none exceeds `limit_dn`.
     fn add(&mut self, block: Waveform<'_>, limit_dn: f64) {
+        let is_high = |sample: u16| f64::from(sample) > limit_dn;
+        let high = block.samples.iter().take(4).rposition(|&sample| is_high(sample));
+        let mut first = high.map_or(0, |high| high + 1);
         for (k, window) in block.samples.windows(5).enumerate() {
-            if window.iter().any(|&sample| f64::from(sample) > limit_dn) {
+            if is_high(window[4]) {
+                first = k + 5;
+            }
+            if k < first {
                 continue;
             }
             let s = [0, 1, 2, 3, 4].map(|i| i32::from(window[i]));

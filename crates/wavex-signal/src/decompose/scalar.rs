@@ -60,7 +60,17 @@ impl Decomposer {
         settings: &DecomposeSettings,
         max_samples: usize,
     ) -> Result<Decomposer, ModelError> {
-        let scene = FitScene::new(model, settings, max_samples)?;
+        Decomposer::of_shape(model, settings, Shape::of(model)?, max_samples)
+    }
+
+    /// As [`Decomposer::new`] with the shape of the model, whose tables clones share.
+    pub(super) fn of_shape(
+        model: &ChannelModel,
+        settings: &DecomposeSettings,
+        shape: Shape,
+        max_samples: usize,
+    ) -> Result<Decomposer, ModelError> {
+        let scene = FitScene::new(model, settings, shape, max_samples)?;
         let detector =
             Detector::new(scene.shape().clone(), model.offset_precision(), scene.whitener(), max_samples);
         Ok(Decomposer {

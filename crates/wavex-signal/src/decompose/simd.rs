@@ -76,6 +76,7 @@ use super::{DecomposeSettings, Decomposer, Waveform};
 use crate::decompose::DEVIANT;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
 use crate::sensor_model::{ChannelModel, ModelError};
+use crate::shape::Shape;
 
 pub use candidates::FilterPeak;
 pub use outcome::Decompositions;
@@ -152,7 +153,8 @@ impl BatchDecomposer {
         mode: Mode,
         path: SimdLevel,
     ) -> Result<BatchDecomposer, ModelError> {
-        let plain = Decomposer::new(model, settings, 0)?;
+        let shape = tables.as_ref().map_or_else(|| Shape::of(model), |tables| Ok(tables.shape.clone()))?;
+        let plain = Decomposer::of_shape(model, settings, shape, 0)?;
         let mut thresholds = Thresholds::new(model, settings, plain.shape().clone())?;
         let level = tables.as_ref().and_then(|tables| tables.level.as_ref());
         thresholds.level_response = level.map_or(0.0, |level| level.response());
@@ -204,6 +206,11 @@ impl BatchDecomposer {
     /// Returns the model of its channel.
     pub fn model(&self) -> &ChannelModel {
         &self.model
+    }
+
+    /// Returns the pulse shape; clones share its tables.
+    pub(crate) fn shape(&self) -> &Shape {
+        self.plain.shape()
     }
 
     /// Number of waveforms decomposed by the scalar kernels since construction.

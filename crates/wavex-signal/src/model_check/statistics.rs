@@ -56,11 +56,15 @@ pub(super) struct Location {
 }
 
 impl Location {
-    /// Sorts the values.
+    /// Changes the order of the values.
     pub(super) fn of(values: &mut [f64]) -> Location {
-        values.sort_by(f64::total_cmp);
-        let at = |part: f64| values.get((part * values.len() as f64) as usize).copied().unwrap_or(0.0);
-        Location { median: at(0.5), sd: 0.5 * (at(0.841_345) - at(0.158_655)), count: values.len() }
+        let count = values.len();
+        let mut at = |part: f64| {
+            let rank = (part * count as f64) as usize;
+            if rank < count { *values.select_nth_unstable_by(rank, f64::total_cmp).1 } else { 0.0 }
+        };
+        let [median, low, high] = [0.5, 0.158_655, 0.841_345].map(&mut at);
+        Location { median, sd: 0.5 * (high - low), count }
     }
 
     /// SD of the median of a normal distribution.
@@ -160,19 +164,20 @@ impl Statistics {
             max_added: 4,
             ..DecomposeSettings::default()
         };
-        let shape = Shape::of(&free)?;
+        let mut decomposer = decomposer(&free, &settings, with)?;
+        let shape = decomposer.shape().clone();
+        let mut residual = Residual::of(&free, &shape);
         let mut stretches = Vec::new();
         let (mut offsets, mut singles, mut with_tail, mut with_echo) =
             (Vec::new(), Vec::new(), Vec::new(), 0);
-        decompose(blocks, &free, &settings, with, |index, outcome| {
+        decompose(&mut decomposer, blocks, |index, outcome| {
             with_echo += usize::from(outcome.counts.n_candidates > 0);
             if outcome.saturated {
                 return;
             }
             offsets.push(outcome.background_offset_dn);
-            let residual_dn =
-                residual(&free, &shape, blocks[index], outcome.returns, outcome.background_offset_dn);
-            add_quiet(&mut stretches, &residual_dn, QUIET_SD * differences_dn);
+            residual.fit(blocks[index], outcome.returns, outcome.background_offset_dn);
+            residual.add_quiet(QUIET_SD * differences_dn, &mut stretches);
             let clear = CLEAR_SD * free.noise_sd_dn.max(differences_dn)..OVERDRIVEN_PART * free.full_scale_dn;
             for (minor_part, of_part) in [(MINOR_PART, &mut singles), (TAIL_PART, &mut with_tail)] {
                 if let Some(found) = single(outcome, minor_part, free.fwhm_samples())
@@ -182,7 +187,7 @@ impl Statistics {
                     of_part.push(Single { block: index, found: *found, offset_dn });
                 }
             }
-        })?;
+        });
         let ln_width = mode_of_widths(&singles);
         let mode = ln_width.map_or(0.0, |mode| mode.median);
         let is_narrow = |single: &&Single| (single.found.width_ratio.ln() - mode).abs() <= NARROW;
@@ -197,7 +202,7 @@ impl Statistics {
             offset_dn: Location::of(&mut offsets),
             with_echo,
             ln_width,
-            residual: residual_by_lag(&free, &shape, blocks, &of_shape),
+            residual: residual.by_lag(blocks, &of_shape),
             least_residual,
             fits: fits(blocks, &narrow, model, with)?,
         })
@@ -216,50 +221,94 @@ fn with_free_background(model: &ChannelModel) -> Result<ChannelModel, ModelError
     Ok(free)
 }
 
-/// Decomposes blocks; `take` gets the index of each.
-fn decompose(
-    blocks: &[Waveform<'_>],
+fn decomposer(
     model: &ChannelModel,
     settings: &DecomposeSettings,
     with: &KernelContext,
+) -> Result<BatchDecomposer, ModelError> {
+    BatchDecomposer::new(model, with.tables.of(model), settings, Mode::Refined, with.simd)
+}
+
+/// Decomposes blocks; `take` gets the index of each.
+fn decompose(
+    decomposer: &mut BatchDecomposer,
+    blocks: &[Waveform<'_>],
     mut take: impl FnMut(usize, &Decomposition<'_>),
-) -> Result<(), ModelError> {
-    let tables = with.tables.of(model);
-    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, with.simd)?;
+) {
     let mut outcomes = Decompositions::default();
     decomposer.decompose(blocks, &mut outcomes);
     outcomes.iter().enumerate().for_each(|(index, outcome)| take(index, &outcome));
-    Ok(())
 }
 
-/// Samples less background and fit, with the fitted signal, DN.
-fn residual(
-    model: &ChannelModel,
-    shape: &Shape,
-    block: Waveform<'_>,
-    returns: &[Return],
-    offset_dn: f64,
-) -> Vec<[f64; 2]> {
-    let mut signal_dn = Vec::with_capacity(block.samples.len());
-    model.signal_into(block.samples, &mut signal_dn);
-    let mut fitted_dn = vec![0.0; signal_dn.len()];
-    for found in returns {
-        let pulse = Pulse {
-            height_dn: found.amplitude_dn,
-            position_samples: found.position_samples,
-            ln_width_ratio: found.width_ratio.ln(),
-            ln_width_precision: 0.0,
-        };
-        shape.add(&pulse, 1.0, &mut fitted_dn);
+/// Residual of a block, and its fit.
+struct Residual<'a> {
+    model: &'a ChannelModel,
+    shape: &'a Shape,
+    /// Samples less background and fit, DN.
+    residual_dn: Vec<f64>,
+    /// Fitted signal, DN.
+    fitted_dn: Vec<f64>,
+}
+
+impl<'a> Residual<'a> {
+    fn of(model: &'a ChannelModel, shape: &'a Shape) -> Residual<'a> {
+        Residual { model, shape, residual_dn: Vec::new(), fitted_dn: Vec::new() }
     }
-    signal_dn.iter().zip(&fitted_dn).map(|(signal, fitted)| [signal - fitted - offset_dn, *fitted]).collect()
-}
 
-/// Adds the stretches where the fitted signal is low.
-fn add_quiet(stretches: &mut Vec<Vec<f64>>, residual_dn: &[[f64; 2]], quiet_dn: f64) {
-    let of_kind = residual_dn.chunk_by(|a, b| (a[1].abs() <= quiet_dn) == (b[1].abs() <= quiet_dn));
-    for stretch in of_kind.filter(|stretch| stretch.len() >= MIN_STRETCH && stretch[0][1].abs() <= quiet_dn) {
-        stretches.push(stretch.iter().map(|[residual, _]| *residual).collect());
+    /// Takes the next block.
+    fn fit(&mut self, block: Waveform<'_>, returns: &[Return], offset_dn: f64) {
+        self.residual_dn.clear();
+        self.model.signal_into(block.samples, &mut self.residual_dn);
+        self.fitted_dn.clear();
+        self.fitted_dn.resize(self.residual_dn.len(), 0.0);
+        for found in returns {
+            let pulse = Pulse {
+                height_dn: found.amplitude_dn,
+                position_samples: found.position_samples,
+                ln_width_ratio: found.width_ratio.ln(),
+                ln_width_precision: 0.0,
+            };
+            self.shape.add(&pulse, 1.0, &mut self.fitted_dn);
+        }
+        for (signal, fitted) in self.residual_dn.iter_mut().zip(&self.fitted_dn) {
+            *signal = *signal - fitted - offset_dn;
+        }
+    }
+
+    /// Adds the stretches where the fitted signal is low.
+    fn add_quiet(&self, quiet_dn: f64, stretches: &mut Vec<Vec<f64>>) {
+        let is_quiet = |fitted_dn: &f64| fitted_dn.abs() <= quiet_dn;
+        let mut first = 0;
+        for of_kind in self.fitted_dn.chunk_by(|a, b| is_quiet(a) == is_quiet(b)) {
+            let stretch = first..first + of_kind.len();
+            first = stretch.end;
+            if of_kind.len() >= MIN_STRETCH && is_quiet(&of_kind[0]) {
+                stretches.push(self.residual_dn[stretch].to_vec());
+            }
+        }
+    }
+
+    /// Residual of single echoes relative to their height, by lag; without lags that few of them reach.
+    ///
+    /// Other returns are not subtracted: those caused by a wrong shape belong to the residual, and the
+    /// median does not see those of other targets.
+    fn by_lag(&mut self, blocks: &[Waveform<'_>], singles: &[&Single]) -> Vec<(i32, Location)> {
+        let fwhm = self.model.fwhm_samples();
+        let first = (-BEFORE_WIDTHS * fwhm).floor() as i32;
+        let last = (AFTER_WIDTHS * fwhm).min(MAX_AFTER) as i32;
+        let mut by_lag = vec![Vec::with_capacity(singles.len()); (last - first + 1) as usize];
+        for single in singles {
+            self.fit(blocks[single.block], std::slice::from_ref(&single.found), single.offset_dn);
+            // Sample and lag from which both are in range.
+            let before = -single.found.position_samples.round() as i32 - first;
+            let [sample, lag] = [-before, before].map(|skipped| skipped.max(0) as usize);
+            let residual_dn = self.residual_dn.iter().skip(sample);
+            for (values, residual) in by_lag.iter_mut().skip(lag).zip(residual_dn) {
+                values.push(residual / single.found.amplitude_dn);
+            }
+        }
+        let reached = (first..).zip(by_lag).filter(|(_, values)| values.len() >= MIN_SINGLES);
+        reached.map(|(lag, mut values)| (lag, Location::of(&mut values))).collect()
     }
 }
 
@@ -312,34 +361,6 @@ fn mode_of_widths(singles: &[Single]) -> Option<Location> {
     Some(Location { median: narrow.ln_width(), sd, count: in_mode.len() })
 }
 
-/// Residual of single echoes relative to their height, by lag; without lags that few of them reach.
-///
-/// Other returns are not subtracted: those caused by a wrong shape belong to the residual, and the
-/// median does not see those of other targets.
-fn residual_by_lag(
-    model: &ChannelModel,
-    shape: &Shape,
-    blocks: &[Waveform<'_>],
-    singles: &[&Single],
-) -> Vec<(i32, Location)> {
-    let fwhm = model.fwhm_samples();
-    let first = (-BEFORE_WIDTHS * fwhm).floor() as i32;
-    let last = (AFTER_WIDTHS * fwhm).min(MAX_AFTER) as i32;
-    let mut by_lag = vec![Vec::new(); (last - first + 1) as usize];
-    for single in singles {
-        let own = std::slice::from_ref(&single.found);
-        let residual_dn = residual(model, shape, blocks[single.block], own, single.offset_dn);
-        for (k, [residual, _]) in residual_dn.iter().enumerate() {
-            let lag = (k as f64 - single.found.position_samples).round() as i32 - first;
-            if let Some(values) = usize::try_from(lag).ok().and_then(|lag| by_lag.get_mut(lag)) {
-                values.push(residual / single.found.amplitude_dn);
-            }
-        }
-    }
-    let reached = (first..).zip(by_lag).filter(|(_, values)| values.len() >= MIN_SINGLES);
-    reached.map(|(lag, mut values)| (lag, Location::of(&mut values))).collect()
-}
-
 /// Chi-square of the weak and of the strong third of single echoes, as a run decomposes them.
 fn fits(
     blocks: &[Waveform<'_>],
@@ -359,12 +380,12 @@ fn fits(
     let [weak, strong] = [&by_height[..third], &by_height[by_height.len() - third..]];
     let chosen: Vec<Waveform<'_>> = weak.iter().chain(strong).map(|single| blocks[single.block]).collect();
     let mut all = [Vec::new(), Vec::new()];
-    decompose(&chosen, model, &settings, with, |index, outcome| {
+    decompose(&mut decomposer(model, &settings, with)?, &chosen, |index, outcome| {
         let freedom = outcome.degrees_of_freedom() as f64;
         if freedom > 0.0 {
             let fit = [outcome.chi_square, freedom, outcome.expected_excess];
             all[usize::from(index >= third)].push(fit);
         }
-    })?;
+    });
     Ok(all.map(Fits::of))
 }

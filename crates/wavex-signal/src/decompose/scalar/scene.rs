@@ -71,9 +71,9 @@ impl FitScene {
     pub(super) fn new(
         model: &ChannelModel,
         settings: &DecomposeSettings,
+        shape: Shape,
         max_samples: usize,
     ) -> Result<FitScene, ModelError> {
-        let shape = Shape::of(model)?;
         let fwhm_samples = shape.fwhm_samples();
         let pulses = settings.max_returns;
         let saved = || Saved { found: Vec::with_capacity(pulses), ..Saved::default() };

@@ -12,7 +12,7 @@ use crate::detect::LEAST_ENERGY_PART;
 use crate::noise::ArNoise;
 use crate::sensor_model::ChannelModel;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
-use crate::shape::FOUR_LN_2;
+use crate::shape::{FOUR_LN_2, Shape};
 use crate::whitening::Whitener;
 
 use build::*;
@@ -117,6 +117,8 @@ pub struct Tables {
     pub(super) level: Option<LevelTables>,
     /// Full width at half maximum of a pulse of width ratio 1, samples.
     pub(super) fwhm_samples: f64,
+    /// The same shape for the scalar kernels.
+    pub(super) shape: Shape,
 }
 
 impl Tables {
@@ -142,7 +144,7 @@ impl Tables {
                 &gaussian
             }
         };
-        let mut tables = Tables::empty(model, &noise, response);
+        let mut tables = Tables::empty(model, &noise, response, Shape::of(model).ok()?);
         let filter = Whitening { taps: tables.whitening.map(f64::from) };
         for (i, node) in response.nodes.iter().enumerate() {
             let reach = 2 * ROW;
@@ -162,7 +164,7 @@ impl Tables {
         Some(tables)
     }
 
-    fn empty(model: &ChannelModel, noise: &ArNoise, response: &SystemResponse) -> Tables {
+    fn empty(model: &ChannelModel, noise: &ArNoise, response: &SystemResponse, shape: Shape) -> Tables {
         let mut whitening = [0.0; MAX_ORDER + 1];
         let scale = noise.innovation_variance().sqrt().recip();
         whitening[0] = scale as f32;
@@ -196,6 +198,7 @@ impl Tables {
             }),
             level: model.offset_precision().map(|precision| LevelTables::new(noise, precision)),
             fwhm_samples: model.fwhm_samples(),
+            shape,
         }
     }
 
