@@ -14,6 +14,7 @@ use super::rows::BATCH;
 use super::score_test::Scores;
 use super::trial::{Change, Trial, divided};
 use super::workspace::{ChiSquares, Decompose, FitBuffers, SearchBuffers, Workspace};
+use crate::decompose::Filter;
 use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, too_near};
 use crate::flags;
 
@@ -53,6 +54,20 @@ impl Decompose<'_> {
             .enumerate()
             .filter(|(_, pulse_model)| pulse_model.is_fast() && room.contains(&pulse_model.pulses().len()));
         active.extend(begun.map(|(row, _)| row));
+        self.search_rounds();
+        self.drop_weak();
+        self.search_rounds();
+        self.compare_with_wide();
+        let Workspace { pulse_models, search, .. } = &mut *self.work;
+        for (pulse_model, &rival) in pulse_models.iter_mut().zip(&search.rivals) {
+            if pulse_model.is_fast() && (is_cut_short(pulse_model) || may_be_wider(pulse_model, rival)) {
+                pulse_model.leave_to_scalar();
+            }
+        }
+    }
+
+    /// Adds and divides pulses of the active waveforms until none changes.
+    fn search_rounds(&mut self) {
         for _ in 0..ROUNDS {
             if self.work.search.active.is_empty() {
                 break;
@@ -69,16 +84,43 @@ impl Decompose<'_> {
             }
             self.end_round();
         }
-        self.compare_with_wide();
         let Workspace { pulse_models, search, .. } = &mut *self.work;
         for &row in &search.active {
             pulse_models[row].leave_to_scalar();
         }
-        for (pulse_model, &rival) in pulse_models.iter_mut().zip(&search.rivals) {
-            if pulse_model.is_fast() && (is_cut_short(pulse_model) || may_be_wider(pulse_model, rival)) {
-                pulse_model.leave_to_scalar();
+        search.active.clear();
+    }
+
+    /// Drops the only pulse of a waveform that is too weak for a return, and fits the others again.
+    ///
+    /// Without it, the residual may show another pulse: these waveforms become active.
+    fn drop_weak(&mut self) {
+        let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
+        let Workspace { rows, pulse_models, which, fits, .. } = &mut *self.work;
+        fits.due.clear();
+        for (row, pulse_model) in pulse_models.iter_mut().enumerate() {
+            let pulses = pulse_model.pulses();
+            if !pulse_model.is_fast() || pulses.len() < 2 || !pulses.iter().all(PulseComponent::is_fitted) {
+                continue;
+            }
+            let samples = rows.length(row);
+            let mut dropped =
+                (0..pulses.len()).filter(|&i| !self.thresholds.is_return(pulse_model, &pulses[i], samples));
+            let (Some(weak), None) = (dropped.next(), dropped.next()) else { continue };
+            if self.thresholds.filter_of(pulse_model, &pulses[weak], samples) == Filter::Weak {
+                add(on, tables, rows, row, pulses[weak].values(), 1.0);
+                pulse_model.replace(weak..weak + 1, &[]);
+                pulse_model.counts.filter(Filter::Weak);
+                pulse_model.reopen();
+                pulse_model.set_clusters(fwhm);
+                fits.due.push(row);
             }
         }
+        which.clone_from(&fits.due);
+        self.fit_clusters(1);
+        let Workspace { search, which, .. } = &mut *self.work;
+        search.active.clone_from(which);
+        if self.tables.level.is_some() { self.set_levels_of_which() } else { self.sum_squares() }
     }
 
     /// Passes a waveform to the scalar kernels if pulses wider than the tables fit it about as well as those that
