@@ -14,8 +14,8 @@ use super::rows::BATCH;
 use super::score_test::Scores;
 use super::trial::{Change, Trial, divided};
 use super::workspace::{ChiSquares, Decompose, FitBuffers, SearchBuffers, Workspace};
-use crate::decompose::Filter;
 use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, too_near};
+use crate::decompose::{DecomposeSettings, Filter};
 use crate::flags;
 
 /// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
@@ -48,12 +48,8 @@ impl Decompose<'_> {
                 }
             }
         }
-        let room = 1..self.settings.max_returns;
-        let begun = pulse_models
-            .iter()
-            .enumerate()
-            .filter(|(_, pulse_model)| pulse_model.is_fast() && room.contains(&pulse_model.pulses().len()));
-        active.extend(begun.map(|(row, _)| row));
+        let begun = |model: &PulseModel| !model.pulses().is_empty() && has_room(model, self.settings);
+        active.extend((0..pulse_models.len()).filter(|&row| begun(&pulse_models[row])));
         self.search_rounds();
         self.drop_weak();
         self.search_rounds();
@@ -100,7 +96,8 @@ impl Decompose<'_> {
         fits.due.clear();
         for (row, pulse_model) in pulse_models.iter_mut().enumerate() {
             let pulses = pulse_model.pulses();
-            if !pulse_model.is_fast() || pulses.len() < 2 || !pulses.iter().all(PulseComponent::is_fitted) {
+            let is_settled = pulse_model.is_fast() && !pulse_model.is_undecided();
+            if !is_settled || pulses.len() < 2 || !pulses.iter().all(PulseComponent::is_fitted) {
                 continue;
             }
             let samples = rows.length(row);
@@ -118,8 +115,9 @@ impl Decompose<'_> {
         }
         which.clone_from(&fits.due);
         self.fit_clusters(1);
-        let Workspace { search, which, .. } = &mut *self.work;
+        let Workspace { pulse_models, search, which, .. } = &mut *self.work;
         search.active.clone_from(which);
+        search.active.retain(|&row| has_room(&pulse_models[row], self.settings));
         if self.tables.level.is_some() { self.set_levels_of_which() } else { self.sum_squares() }
     }
 
@@ -182,13 +180,7 @@ impl Decompose<'_> {
             self.sum_squares();
         }
         let Workspace { pulse_models, search, .. } = &mut *self.work;
-        let settings = self.settings;
-        search.active.retain(|&row| {
-            let pulse_model = &pulse_models[row];
-            let room = pulse_model.pulses().len() < settings.max_returns
-                && pulse_model.counts.n_added < settings.max_added;
-            room && pulse_model.is_fast()
-        });
+        search.active.retain(|&row| has_room(&pulse_models[row], self.settings));
     }
 
     /// Finds the candidates in the residual of each active waveform.
@@ -485,6 +477,13 @@ impl Decompose<'_> {
         pulse_model.sort();
         pulse_model.accept_trial();
     }
+}
+
+/// Whether the SIMD kernels may add a pulse to a waveform.
+fn has_room(pulse_model: &PulseModel, settings: &DecomposeSettings) -> bool {
+    pulse_model.is_fast()
+        && pulse_model.pulses().len() < settings.max_returns
+        && pulse_model.counts.n_added < settings.max_added
 }
 
 /// Whether a pulse is at the width limit of the tables.
