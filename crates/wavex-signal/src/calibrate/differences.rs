@@ -48,17 +48,13 @@ struct Differences {
 impl Differences {
     /// Adds the differences of samples of which none exceeds `limit_dn`.
     fn add(&mut self, block: Waveform<'_>, limit_dn: f64) {
-        let is_high = |sample: u16| f64::from(sample) > limit_dn;
-        let high = block.samples.iter().take(4).rposition(|&sample| is_high(sample));
-        let mut first = high.map_or(0, |high| high + 1);
-        for (k, window) in block.samples.windows(5).enumerate() {
-            if is_high(window[4]) {
-                first = k + 5;
-            }
-            if k < first {
+        let mut low = 0;
+        for (k, &sample) in block.samples.iter().enumerate() {
+            low = if f64::from(sample) > limit_dn { 0 } else { low + 1 };
+            if low < 5 {
                 continue;
             }
-            let s = [0, 1, 2, 3, 4].map(|i| i32::from(window[i]));
+            let s = [4, 3, 2, 1, 0].map(|lag| i32::from(block.samples[k - lag]));
             let difference = s[0] - 4 * s[1] + 6 * s[2] - 4 * s[3] + s[4];
             self.by_phase[k % 4].add((difference + ZERO).clamp(0, i32::from(u16::MAX)) as u16);
         }

@@ -25,7 +25,7 @@ impl Histogram {
             self.first = value;
         }
         if value < self.first {
-            // By as many as there are, because all of them move.
+            // At least twice as many as before, because all of them move.
             let first = value.min(self.first.saturating_sub(self.counts.len()));
             self.counts.splice(0..0, repeat_n(0, self.first - first));
             self.first = first;

@@ -63,7 +63,7 @@ impl Decomposer {
         Decomposer::of_shape(model, settings, Shape::of(model)?, max_samples)
     }
 
-    /// As [`Decomposer::new`] with the shape of the model, whose tables clones share.
+    /// As [`Decomposer::new`], with [`Shape::of`] the model.
     pub(super) fn of_shape(
         model: &ChannelModel,
         settings: &DecomposeSettings,

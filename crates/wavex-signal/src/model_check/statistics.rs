@@ -56,7 +56,7 @@ pub(super) struct Location {
 }
 
 impl Location {
-    /// Changes the order of the values.
+    /// Of these values, whose order changes.
     pub(super) fn of(values: &mut [f64]) -> Location {
         let count = values.len();
         let mut at = |part: f64| {
@@ -164,19 +164,19 @@ impl Statistics {
             max_added: 4,
             ..DecomposeSettings::default()
         };
-        let mut decomposer = decomposer(&free, &settings, with)?;
+        let decomposer = decomposer(&free, &settings, with)?;
         let shape = decomposer.shape().clone();
         let mut residual = Residual::of(&free, &shape);
         let mut stretches = Vec::new();
         let (mut offsets, mut singles, mut with_tail, mut with_echo) =
             (Vec::new(), Vec::new(), Vec::new(), 0);
-        decompose(&mut decomposer, blocks, |index, outcome| {
+        decompose(decomposer, blocks, |index, outcome| {
             with_echo += usize::from(outcome.counts.n_candidates > 0);
             if outcome.saturated {
                 return;
             }
             offsets.push(outcome.background_offset_dn);
-            residual.fit(blocks[index], outcome.returns, outcome.background_offset_dn);
+            residual.subtract(blocks[index], outcome.returns, outcome.background_offset_dn);
             residual.add_quiet(QUIET_SD * differences_dn, &mut stretches);
             let clear = CLEAR_SD * free.noise_sd_dn.max(differences_dn)..OVERDRIVEN_PART * free.full_scale_dn;
             for (minor_part, of_part) in [(MINOR_PART, &mut singles), (TAIL_PART, &mut with_tail)] {
@@ -231,7 +231,7 @@ fn decomposer(
 
 /// Decomposes blocks; `take` gets the index of each.
 fn decompose(
-    decomposer: &mut BatchDecomposer,
+    mut decomposer: BatchDecomposer,
     blocks: &[Waveform<'_>],
     mut take: impl FnMut(usize, &Decomposition<'_>),
 ) {
@@ -255,8 +255,8 @@ impl<'a> Residual<'a> {
         Residual { model, shape, residual_dn: Vec::new(), fitted_dn: Vec::new() }
     }
 
-    /// Takes the next block.
-    fn fit(&mut self, block: Waveform<'_>, returns: &[Return], offset_dn: f64) {
+    /// Subtracts background and returns from a block.
+    fn subtract(&mut self, block: Waveform<'_>, returns: &[Return], offset_dn: f64) {
         self.residual_dn.clear();
         self.model.signal_into(block.samples, &mut self.residual_dn);
         self.fitted_dn.clear();
@@ -296,9 +296,9 @@ impl<'a> Residual<'a> {
         let fwhm = self.model.fwhm_samples();
         let first = (-BEFORE_WIDTHS * fwhm).floor() as i32;
         let last = (AFTER_WIDTHS * fwhm).min(MAX_AFTER) as i32;
-        let mut by_lag = vec![Vec::with_capacity(singles.len()); (last - first + 1) as usize];
+        let mut by_lag: Vec<Vec<f64>> = (first..=last).map(|_| Vec::with_capacity(singles.len())).collect();
         for single in singles {
-            self.fit(blocks[single.block], std::slice::from_ref(&single.found), single.offset_dn);
+            self.subtract(blocks[single.block], std::slice::from_ref(&single.found), single.offset_dn);
             // Sample and lag from which both are in range.
             let before = -single.found.position_samples.round() as i32 - first;
             let [sample, lag] = [-before, before].map(|skipped| skipped.max(0) as usize);
@@ -380,7 +380,7 @@ fn fits(
     let [weak, strong] = [&by_height[..third], &by_height[by_height.len() - third..]];
     let chosen: Vec<Waveform<'_>> = weak.iter().chain(strong).map(|single| blocks[single.block]).collect();
     let mut all = [Vec::new(), Vec::new()];
-    decompose(&mut decomposer(model, &settings, with)?, &chosen, |index, outcome| {
+    decompose(decomposer(model, &settings, with)?, &chosen, |index, outcome| {
         let freedom = outcome.degrees_of_freedom() as f64;
         if freedom > 0.0 {
             let fit = [outcome.chi_square, freedom, outcome.expected_excess];

@@ -51,8 +51,10 @@ impl Decompose<'_> {
         let begun = |model: &PulseModel| !model.pulses().is_empty() && has_room(model, self.settings);
         active.extend((0..pulse_models.len()).filter(|&row| begun(&pulse_models[row])));
         self.search_rounds();
-        self.drop_weak();
-        self.search_rounds();
+        if self.fits_again {
+            self.drop_weak();
+            self.search_rounds();
+        }
         self.compare_with_wide();
         let Workspace { pulse_models, search, .. } = &mut *self.work;
         for (pulse_model, &rival) in pulse_models.iter_mut().zip(&search.rivals) {
@@ -87,12 +89,12 @@ impl Decompose<'_> {
         search.active.clear();
     }
 
-    /// Drops the only pulse of a waveform that is too weak for a return, and fits the others again.
+    /// Drops a pulse too weak for a return, if it is the only one of its waveform, and fits the others again.
     ///
     /// Without it, the residual may show another pulse: these waveforms become active.
     fn drop_weak(&mut self) {
         let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
-        let Workspace { rows, pulse_models, which, fits, .. } = &mut *self.work;
+        let Workspace { rows, pulse_models, fits, .. } = &mut *self.work;
         fits.due.clear();
         for (row, pulse_model) in pulse_models.iter_mut().enumerate() {
             let pulses = pulse_model.pulses();
@@ -109,16 +111,19 @@ impl Decompose<'_> {
                 pulse_model.replace(weak..weak + 1, &[]);
                 pulse_model.counts.filter(Filter::Weak);
                 pulse_model.reopen();
+                pulse_model.sort();
                 pulse_model.set_clusters(fwhm);
                 fits.due.push(row);
             }
         }
-        which.clone_from(&fits.due);
-        self.fit_clusters(1);
-        let Workspace { pulse_models, search, which, .. } = &mut *self.work;
-        search.active.clone_from(which);
-        search.active.retain(|&row| has_room(&pulse_models[row], self.settings));
-        if self.tables.level.is_some() { self.set_levels_of_which() } else { self.sum_squares() }
+        self.work.search.active.clone_from(&self.work.fits.due);
+        self.fit_active();
+        // The comparison with wide pulses knows only those at the limit before the search.
+        for &row in &self.work.search.active {
+            if is_cut_short(&self.work.pulse_models[row]) {
+                self.work.pulse_models[row].leave_to_scalar();
+            }
+        }
     }
 
     /// Passes a waveform to the scalar kernels if pulses wider than the tables fit it about as well as those that
@@ -134,8 +139,7 @@ impl Decompose<'_> {
             }
             let pulses = before.pulses().iter().map(|p| p.values().map(f64::from));
             let of_wide = self.plain.chi_square_of(self.blocks[*row].samples, pulses);
-            let added = pulse_model.pulses().len().saturating_sub(before.pulses().len());
-            let gain = self.settings.split_evidence.unwrap_or(0.0) * added as f64;
+            let gain = self.settings.split_evidence.unwrap_or(0.0) * f64::from(pulse_model.counts.n_added);
             if f64::from(pulse_model.chi_square) > of_wide - gain {
                 pulse_model.leave_to_scalar();
             }
@@ -169,6 +173,11 @@ impl Decompose<'_> {
                 due.push(row);
             }
         }
+        self.fit_active();
+    }
+
+    /// Fits the due clusters of the active waveforms, and keeps those with room for more pulses.
+    fn fit_active(&mut self) {
         self.fit_clusters(1);
         let Workspace { which, fits, search, .. } = &mut *self.work;
         which.clear();

@@ -117,7 +117,7 @@ pub struct Tables {
     pub(super) level: Option<LevelTables>,
     /// Full width at half maximum of a pulse of width ratio 1, samples.
     pub(super) fwhm_samples: f64,
-    /// The same shape for the scalar kernels.
+    /// The pulse shape for the scalar kernels.
     pub(super) shape: Shape,
 }
 
