@@ -51,7 +51,8 @@ impl Decompose<'_> {
         let begun = |model: &PulseModel| !model.pulses().is_empty() && has_room(model, self.settings);
         active.extend((0..pulse_models.len()).filter(|&row| begun(&pulse_models[row])));
         self.search_rounds();
-        if self.fits_again {
+        // On an own background, half of these waveforms would lack a return that the scalar kernels find.
+        if self.fits_again && self.tables.level.is_none() {
             self.drop_weak();
             self.search_rounds();
         }

@@ -478,7 +478,7 @@ fn near_the_ends_of_blocks_one_step_is_enough() {
 /// scalar kernels.
 #[test]
 fn weak_pulses_are_dropped_as_by_the_plain_kernels() {
-    for (name, model) in [("on time", model()), ("late", late()), ("own background", own_background::own())] {
+    for (name, model) in [("on time", model()), ("late", late())] {
         let shape = Shape::of(&model).unwrap();
         let mut random = Random::new(17);
         let mut faint_echoes = || {

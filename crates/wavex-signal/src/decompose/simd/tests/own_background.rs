@@ -9,7 +9,7 @@ const DRIFT_DN: f64 = 3.0;
 const LIFT_DN: f64 = 20.0;
 const MODES: [Mode; 3] = [Mode::Fastest, Mode::FastSeparated, Mode::Refined];
 
-pub(super) fn own() -> ChannelModel {
+fn own() -> ChannelModel {
     let model = model();
     ChannelModel {
         background: Background::PerWaveform,
