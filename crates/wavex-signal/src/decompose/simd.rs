@@ -10,7 +10,7 @@
 //! background, it is estimated before detection and brought to the joint optimum with the pulses
 //! after their fits (`level`). The scalar kernels take the waveforms that the SIMD kernels cannot
 //! decompose, one at a time: saturation, a background without enough free samples, pulses wider
-//! than a row, large clusters, fits without an optimum, and several pulses that fail as returns. The scalar
+//! than a row, large clusters, fits without an optimum, and pulses that fail as returns. The scalar
 //! kernels are also the reference in the tests.
 //!
 //! The first samples of a block, as many as the order of the noise, have no weight in a fit. They
@@ -275,7 +275,7 @@ impl BatchDecomposer {
     }
 
     fn run(&mut self, tables: &Tables, blocks: &[Waveform<'_>], mode: Mode) {
-        let BatchDecomposer { path, thresholds, plain, settings, model, work, drops_weak, .. } = self;
+        let BatchDecomposer { path, thresholds, plain, settings, model, work, .. } = self;
         let full_scale_dn = model.full_scale_dn;
         let lowest = model.background_dn.iter().fold(f64::INFINITY, |a, &b| a.min(b));
         let clear_of_zero = lowest >= CLEAR_OF_ZERO_SD * model.noise_sd_dn;
@@ -287,7 +287,6 @@ impl BatchDecomposer {
             plain,
             settings,
             mode,
-            fits_again: !*drops_weak,
             full_scale_dn,
             clear_of_zero,
             work,

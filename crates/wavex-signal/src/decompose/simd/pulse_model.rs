@@ -141,8 +141,7 @@ enum RowState {
 /// | `accept_trial` | `Unchanged`, `Undecided` | `Changed` |
 /// | `start_search_round` | `Unchanged`, `Changed` | `Unchanged` |
 ///
-/// Only changed waveforms and those that lost a weak pulse, which are not `Undecided`, are in a further round, so
-/// `Undecided` without an accepted trial is final.
+/// Only changed waveforms are in a further round, so `Undecided` without an accepted trial is final.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Search {
     /// No trial was accepted in this round, and no rejected one was close.

@@ -15,7 +15,6 @@ use super::score_test::Scores;
 use super::trial::{Change, Trial, divided};
 use super::workspace::{ChiSquares, Decompose, FitBuffers, SearchBuffers, Workspace};
 use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, too_near};
-use crate::decompose::{DecomposeSettings, Filter};
 use crate::flags;
 
 /// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
@@ -48,25 +47,12 @@ impl Decompose<'_> {
                 }
             }
         }
-        let begun = |model: &PulseModel| !model.pulses().is_empty() && has_room(model, self.settings);
-        active.extend((0..pulse_models.len()).filter(|&row| begun(&pulse_models[row])));
-        self.search_rounds();
-        // On an own background, half of these waveforms would lack a return that the scalar kernels find.
-        if self.fits_again && self.tables.level.is_none() {
-            self.drop_weak();
-            self.search_rounds();
-        }
-        self.compare_with_wide();
-        let Workspace { pulse_models, search, .. } = &mut *self.work;
-        for (pulse_model, &rival) in pulse_models.iter_mut().zip(&search.rivals) {
-            if pulse_model.is_fast() && (is_cut_short(pulse_model) || may_be_wider(pulse_model, rival)) {
-                pulse_model.leave_to_scalar();
-            }
-        }
-    }
-
-    /// Adds and divides pulses of the active waveforms until none changes.
-    fn search_rounds(&mut self) {
+        let room = 1..self.settings.max_returns;
+        let begun = pulse_models
+            .iter()
+            .enumerate()
+            .filter(|(_, pulse_model)| pulse_model.is_fast() && room.contains(&pulse_model.pulses().len()));
+        active.extend(begun.map(|(row, _)| row));
         for _ in 0..ROUNDS {
             if self.work.search.active.is_empty() {
                 break;
@@ -83,46 +69,14 @@ impl Decompose<'_> {
             }
             self.end_round();
         }
+        self.compare_with_wide();
         let Workspace { pulse_models, search, .. } = &mut *self.work;
         for &row in &search.active {
             pulse_models[row].leave_to_scalar();
         }
-        search.active.clear();
-    }
-
-    /// Drops a pulse too weak for a return, if it is the only one of its waveform, and fits the others again.
-    ///
-    /// Without it, the residual may show another pulse: these waveforms become active.
-    fn drop_weak(&mut self) {
-        let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
-        let Workspace { rows, pulse_models, fits, .. } = &mut *self.work;
-        fits.due.clear();
-        for (row, pulse_model) in pulse_models.iter_mut().enumerate() {
-            let pulses = pulse_model.pulses();
-            let is_settled = pulse_model.is_fast() && !pulse_model.is_undecided();
-            if !is_settled || pulses.len() < 2 || !pulses.iter().all(PulseComponent::is_fitted) {
-                continue;
-            }
-            let samples = rows.length(row);
-            let mut dropped =
-                (0..pulses.len()).filter(|&i| !self.thresholds.is_return(pulse_model, &pulses[i], samples));
-            let (Some(weak), None) = (dropped.next(), dropped.next()) else { continue };
-            if self.thresholds.filter_of(pulse_model, &pulses[weak], samples) == Filter::Weak {
-                add(on, tables, rows, row, pulses[weak].values(), 1.0);
-                pulse_model.replace(weak..weak + 1, &[]);
-                pulse_model.counts.filter(Filter::Weak);
-                pulse_model.reopen();
-                pulse_model.sort();
-                pulse_model.set_clusters(fwhm);
-                fits.due.push(row);
-            }
-        }
-        self.work.search.active.clone_from(&self.work.fits.due);
-        self.fit_active();
-        // The comparison with wide pulses knows only those at the limit before the search.
-        for &row in &self.work.search.active {
-            if is_cut_short(&self.work.pulse_models[row]) {
-                self.work.pulse_models[row].leave_to_scalar();
+        for (pulse_model, &rival) in pulse_models.iter_mut().zip(&search.rivals) {
+            if pulse_model.is_fast() && (is_cut_short(pulse_model) || may_be_wider(pulse_model, rival)) {
+                pulse_model.leave_to_scalar();
             }
         }
     }
@@ -140,7 +94,8 @@ impl Decompose<'_> {
             }
             let pulses = before.pulses().iter().map(|p| p.values().map(f64::from));
             let of_wide = self.plain.chi_square_of(self.blocks[*row].samples, pulses);
-            let gain = self.settings.split_evidence.unwrap_or(0.0) * f64::from(pulse_model.counts.n_added);
+            let added = pulse_model.pulses().len().saturating_sub(before.pulses().len());
+            let gain = self.settings.split_evidence.unwrap_or(0.0) * added as f64;
             if f64::from(pulse_model.chi_square) > of_wide - gain {
                 pulse_model.leave_to_scalar();
             }
@@ -174,11 +129,6 @@ impl Decompose<'_> {
                 due.push(row);
             }
         }
-        self.fit_active();
-    }
-
-    /// Fits the due clusters of the active waveforms, and keeps those with room for more pulses.
-    fn fit_active(&mut self) {
         self.fit_clusters(1);
         let Workspace { which, fits, search, .. } = &mut *self.work;
         which.clear();
@@ -190,7 +140,13 @@ impl Decompose<'_> {
             self.sum_squares();
         }
         let Workspace { pulse_models, search, .. } = &mut *self.work;
-        search.active.retain(|&row| has_room(&pulse_models[row], self.settings));
+        let settings = self.settings;
+        search.active.retain(|&row| {
+            let pulse_model = &pulse_models[row];
+            let room = pulse_model.pulses().len() < settings.max_returns
+                && pulse_model.counts.n_added < settings.max_added;
+            room && pulse_model.is_fast()
+        });
     }
 
     /// Finds the candidates in the residual of each active waveform.
@@ -487,13 +443,6 @@ impl Decompose<'_> {
         pulse_model.sort();
         pulse_model.accept_trial();
     }
-}
-
-/// Whether the SIMD kernels may add a pulse to a waveform.
-fn has_room(pulse_model: &PulseModel, settings: &DecomposeSettings) -> bool {
-    pulse_model.is_fast()
-        && pulse_model.pulses().len() < settings.max_returns
-        && pulse_model.counts.n_added < settings.max_added
 }
 
 /// Whether a pulse is at the width limit of the tables.

@@ -2,7 +2,7 @@
 
 use super::filter::HIGHEST;
 use super::*;
-use crate::decompose::{Filter, Return};
+use crate::decompose::Return;
 use crate::flags;
 use crate::noise::ArNoise;
 use crate::sensor_model::Background;
@@ -472,45 +472,6 @@ fn near_the_ends_of_blocks_one_step_is_enough() {
     assert!(ours.len() >= 3900);
     assert!((0.95..1.06).contains(&rms(&ours)) && rms(&ours) <= 1.03 * rms(&theirs));
     assert!(mean.abs() < 0.1 && (0.9..1.1).contains(&rms(&deviations)));
-}
-
-/// A pulse too weak for a return is dropped, the others are fitted again and the residual is searched, as by the
-/// scalar kernels.
-#[test]
-fn weak_pulses_are_dropped_as_by_the_plain_kernels() {
-    for (name, model) in [("on time", model()), ("late", late())] {
-        let shape = Shape::of(&model).unwrap();
-        let mut random = Random::new(17);
-        let mut faint_echoes = || {
-            let mut truth = Vec::new();
-            let mut position = 12.0 + 12.0 * random.uniform();
-            while position < 84.0 {
-                let width = if random.uniform() < 0.6 { 1.0 } else { 1.0 + 0.4 * random.uniform() };
-                let height_dn = (2.5 + 10.0 * random.uniform()) * model.noise_sd_dn;
-                truth.push(pulse(height_dn, position, width));
-                position += 3.0 + 17.0 * random.uniform();
-            }
-            block(&model, &shape, &mut random, 100, &truth)
-        };
-        let waveforms: Vec<Vec<u16>> = (0..4000).map(|_| faint_echoes()).collect();
-        let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), 100).unwrap();
-        let outcomes = decompose(&mut fast(&model, Mode::Refined, SimdLevel::best()), &waveforms);
-        let (mut dropped, mut lacking, mut more) = (0, 0, 0);
-        for (samples, found) in waveforms.iter().zip(outcomes.iter()) {
-            let c = found.counts;
-            assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered() + c.np_merged);
-            if !found.left_to_plain && c.filtered.of(Filter::Weak) > 0 {
-                let expected = plain.decompose(samples);
-                dropped += 1;
-                lacking += usize::from(found.chi_square > expected.chi_square + 10.0);
-                more += usize::from(found.chi_square < expected.chi_square - 10.0);
-            }
-        }
-        println!("{name}: {dropped} of 4000, {lacking} lack a return, {more} have one more");
-        assert!(dropped >= 20, "{name}: {dropped}");
-        assert!(10 * lacking <= dropped + 10, "{name}: {lacking} of {dropped}");
-        assert!(10 * more <= dropped + 10, "{name}: {more} of {dropped}");
-    }
 }
 
 /// Beyond the tables `fastest` steps from their limit and flags the result.

@@ -130,8 +130,6 @@ pub(super) struct Decompose<'a> {
     pub(super) plain: &'a mut Decomposer,
     pub(super) settings: &'a DecomposeSettings,
     pub(super) mode: Mode,
-    /// Whether the others are fitted again without a pulse that is no return.
-    pub(super) fits_again: bool,
     pub(super) full_scale_dn: f64,
     /// Whether the background is so high that a sample of 0 is clipped.
     pub(super) clear_of_zero: bool,
