@@ -48,6 +48,7 @@ struct Differences {
 impl Differences {
     /// Adds the differences of samples of which none exceeds `limit_dn`.
     fn add(&mut self, block: Waveform<'_>, limit_dn: f64) {
+        // Number of samples up to this one, without a gap, that do not exceed the limit.
         let mut low = 0;
         for (k, &sample) in block.samples.iter().enumerate() {
             low = if f64::from(sample) > limit_dn { 0 } else { low + 1 };

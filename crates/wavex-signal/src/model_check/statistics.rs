@@ -56,7 +56,7 @@ pub(super) struct Location {
 }
 
 impl Location {
-    /// Of these values, whose order changes.
+    /// Median and robust SD of the values, whose order changes.
     pub(super) fn of(values: &mut [f64]) -> Location {
         let count = values.len();
         let mut at = |part: f64| {
